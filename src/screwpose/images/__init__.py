@@ -1,0 +1,1 @@
+"""What did the detector see? (floor 1)"""
