@@ -145,8 +145,8 @@ class Camera:
         if not (depth > 0).all():
             index = int(np.argmin(depth))
             raise BehindSourceError(
-                f"point {index} of {len(depth)} has depth {depth[index]:.4g} mm: it is not in front of the X-ray source. "
-                "Is the projection matrix in the units and the frame of the points?"
+                f"point {index} of {len(depth)} has depth {depth[index]:.4g} mm: it is not in front of the X-ray "
+                "source. Is the projection matrix in the units and the frame of the points?"
             )
         pixels = homogeneous[:, :2] / depth[:, None]
         return np.asarray(pixels[0] if points.ndim == 1 else pixels, dtype=np.float64)
