@@ -1,0 +1,172 @@
+"""Meshes from files and to files, moved and reduced."""
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from screwpose._types import FloatArray, IntArray
+from screwpose.errors import MeshError, OutputError
+from screwpose.implants import formats
+from screwpose.implants.formats.stl import BINARY_FACET, HEADER_BYTES
+from screwpose.implants.model import Mesh
+
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+_READERS: dict[str, Callable[[Path, bytes], tuple[FloatArray, IntArray]]] = {
+    ".stl": formats.read_stl,
+    ".obj": formats.read_obj,
+    ".ply": formats.read_ply,
+    ".vtk": formats.read_vtk,
+    ".step": formats.read_step,
+    ".stp": formats.read_step,
+}
+SUFFIXES = tuple(_READERS)
+
+
+def read_mesh(path: str | Path, unit: str = "mm") -> Mesh:
+    """Read a mesh: STL (binary, ASCII), OBJ, PLY, legacy VTK or STEP, chosen by the file's suffix.
+
+    Polygons are split into triangles, vertices of equal coordinates become one, unused ones go. Nothing is repaired:
+    :func:`~screwpose.implants.health.mesh_report` says what is wrong.
+
+    Parameters
+    ----------
+    path : the file.
+    unit : ``mm``, ``cm``, ``m`` or ``inch``: what one unit of the file is. STEP files state their own: leave ``mm``.
+
+    Returns
+    -------
+    In mm, in the frame of the file.
+
+    Raises
+    ------
+    MeshError
+        Missing, unreadable, truncated, empty, with a coordinate that is not finite, or of an unknown suffix or unit.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        raise MeshError(
+            f"'{path.suffix}' is no mesh format that can be read",
+            file=path,
+            expected=" ".join(SUFFIXES),
+            remedy="Export the model as STL.",
+        )
+    mm_per_unit = _mm_per_unit(path, unit)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise MeshError(f"the mesh cannot be read ({error.strerror})", file=path, expected="a readable file") from error
+    if not data:
+        raise MeshError("the mesh file is empty (0 bytes)", file=path, remedy="Export or copy it again.")
+    vertices, faces = _READERS[suffix](path, data)
+    if not len(faces):
+        raise MeshError(
+            "the mesh has no faces", file=path, expected="triangles or polygons", remedy="Export its surface."
+        )
+    bad = np.flatnonzero(~np.isfinite(vertices[faces]).all(axis=(1, 2)))
+    if len(bad):
+        raise MeshError(
+            f"{len(bad)} of {len(faces)} faces have a coordinate that is not finite, the first is face {bad[0]}",
+            file=path,
+            remedy="Export it again: the file is damaged or its writer is.",
+        )
+    merged = _merged(vertices, faces)
+    return Mesh(merged.vertices_mm * mm_per_unit, merged.faces)
+
+
+def write_stl(mesh: Mesh, path: str | Path) -> None:
+    """Write a binary STL in mm, in one step: a reader sees the whole file or the old one.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    path = Path(path)
+    corners = mesh.triangles_mm
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    facets = np.zeros(len(corners), dtype=BINARY_FACET)
+    facets["normal"] = normals / np.where(lengths > 0.0, lengths, 1.0)
+    facets["corners"] = corners
+    header = b"binary STL, mm".ljust(HEADER_BYTES)  # must not begin with 'solid', the mark of ASCII
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
+            file.write(header + len(facets).to_bytes(4, "little") + facets.tobytes())
+        temporary.chmod(0o644)  # a temporary file is born private
+        os.replace(temporary, path)  # noqa: PTH105  (the one call that is atomic on every platform)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise OutputError(f"{path}: the STL file cannot be written ({error.strerror}).") from error
+
+
+def transformed(mesh: Mesh, target_from_source: FloatArray) -> Mesh:
+    """Move a mesh by a rigid (4, 4) matrix, mm; faces are shared with the source."""
+    rotation, translation = target_from_source[:3, :3], target_from_source[:3, 3]
+    return Mesh(mesh.vertices_mm @ rotation.T + translation, mesh.faces)
+
+
+def reduced(mesh: Mesh, faces: int) -> Mesh:
+    """Decimate by quadric edge collapse to at most ``faces`` triangles, for silhouettes and thickness.
+
+    The same input gives the same output. The result need not be watertight even where the input is, so a volume or a
+    boolean operation belongs to the full mesh. Where folds or separate shells stop the collapse early, the nearest
+    count that can be reached is returned. A mesh that is small enough is returned itself.
+
+    Raises
+    ------
+    ValueError
+        ``faces`` is below 4.
+
+    References
+    ----------
+    Garland & Heckbert (1997), Surface simplification using quadric error metrics.
+    """
+    if faces < 4:
+        raise ValueError(f"faces must be 4 or more, not {faces}")
+    if len(mesh.faces) <= faces:
+        return mesh
+    import fast_simplification
+
+    vertices, triangles = mesh.vertices_mm, mesh.faces
+    origin = vertices.mean(axis=0)  # the collapse works in float32: keep the numbers small
+    for aggression in (3, 7, 11):
+        points, kept = fast_simplification.simplify(
+            (vertices - origin).astype(np.float32), triangles.astype(np.int32), target_count=faces, agg=aggression
+        )
+        if len(kept) <= faces:
+            break
+    return Mesh(np.asarray(points, dtype=np.float64) + origin, np.asarray(kept, dtype=np.int64))
+
+
+def _mm_per_unit(path: Path, unit: str) -> float:
+    if unit not in MM_PER_UNIT:
+        raise MeshError(f"the unit '{unit}' is not known", file=path, field="unit", expected=", ".join(MM_PER_UNIT))
+    if path.suffix.lower() in (".step", ".stp") and unit != "mm":
+        raise MeshError(
+            f"the unit '{unit}' was given for a STEP file, which states its own",
+            file=path,
+            field="unit",
+            remedy="Leave the unit at mm: it is read from the file.",
+        )
+    return MM_PER_UNIT[unit]
+
+
+def _merged(vertices: FloatArray, faces: IntArray) -> Mesh:
+    """Make vertices of equal coordinates one, in the order in which the faces first use them."""
+    used = vertices[faces.ravel()] + 0.0  # -0.0 becomes 0.0
+    order = np.lexsort(used.T)
+    rows = used[order]
+    is_new = np.concatenate([[True], np.any(rows[1:] != rows[:-1], axis=1)])
+    group = np.empty(len(used), dtype=np.int64)
+    group[order] = np.cumsum(is_new) - 1
+    firsts = order[is_new]  # lexsort is stable: the first use of each
+    rank = np.empty(len(firsts), dtype=np.int64)
+    rank[np.argsort(firsts)] = np.arange(len(firsts))
+    return Mesh(used[np.sort(firsts)], rank[group].reshape(-1, 3))
