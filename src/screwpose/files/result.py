@@ -27,7 +27,13 @@ class CombinationScene:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The answer: `answer` is what result.json says; `scenes` are the combinations it scored, in its order, best first."""
+    """The answer.
+
+    Parameters
+    ----------
+    answer : what result.json says.
+    scenes : the combinations that it scored, in its order, best first.
+    """
 
     answer: ResultFile
     scenes: tuple[CombinationScene, ...]

@@ -1,7 +1,88 @@
-"""The formats of case, truth, result and summary files, as pydantic models."""
+"""The formats of case, truth, result and summary files, as pydantic models: names and keys are CASE_FORMAT's.
 
-from pydantic import BaseModel
+Every model is frozen and refuses unknown keys; numbers are finite; a key whose thing was not estimated is absent
+(write with ``exclude_none``, as `screwpose.files.write_json` does).
+"""
 
+from screwpose.files.schema_case import (
+    CASE_FORMAT,
+    TRUTH_FORMAT,
+    AnnotationFile,
+    CaseFile,
+    ModelFile,
+    PartFile,
+    Polarity,
+    TruthFile,
+    TruthScrew,
+    Unit,
+    ViewFile,
+)
+from screwpose.files.schema_result import (
+    RESULT_FORMAT,
+    ChosenBy,
+    CombinationFile,
+    PairingFile,
+    PartPose,
+    ResultFile,
+    Scores,
+    ScrewResultFile,
+    ScrewScores,
+    ScrewStatus,
+    SigmaFile,
+    Software,
+    StageScores,
+    Status,
+    ViewScores,
+)
+from screwpose.files.schema_summary import (
+    SUMMARY_FORMAT,
+    Coverage,
+    MethodSummary,
+    PairingRates,
+    Quantiles,
+    SetSummary,
+    StageQuantiles,
+    SummaryFile,
+)
+from screwpose.files.values import as_matrix3x3, as_matrix3x4, as_point3, as_pose
 
-class ResultFile(BaseModel):
-    """result.json."""
+__all__ = [
+    "CASE_FORMAT",
+    "RESULT_FORMAT",
+    "SUMMARY_FORMAT",
+    "TRUTH_FORMAT",
+    "AnnotationFile",
+    "CaseFile",
+    "ChosenBy",
+    "CombinationFile",
+    "Coverage",
+    "MethodSummary",
+    "ModelFile",
+    "PairingFile",
+    "PairingRates",
+    "PartFile",
+    "PartPose",
+    "Polarity",
+    "Quantiles",
+    "ResultFile",
+    "Scores",
+    "ScrewResultFile",
+    "ScrewScores",
+    "ScrewStatus",
+    "SetSummary",
+    "SigmaFile",
+    "Software",
+    "StageQuantiles",
+    "StageScores",
+    "Status",
+    "SummaryFile",
+    "TruthFile",
+    "TruthScrew",
+    "Unit",
+    "ViewFile",
+    "ViewScores",
+    "as_matrix3x3",
+    "as_matrix3x4",
+    "as_point3",
+    "as_pose",
+]

@@ -1,0 +1,98 @@
+"""case.json and truth.json, key by key."""
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from screwpose.files.values import FileModel, Matrix3x4, Name, Point2, Point3, Pose
+
+CASE_FORMAT = "screwpose-case/1"
+TRUTH_FORMAT = "screwpose-truth/1"
+
+Polarity: TypeAlias = Literal["metal-dark", "metal-bright", "auto"]
+Unit: TypeAlias = Literal["mm", "cm", "m", "in"]
+
+_PATH = "a path relative to the case file's folder, with forward slashes, that stays in that folder"
+FilePath: TypeAlias = Annotated[str, Field(min_length=1)]
+
+
+class ViewFile(FileModel):
+    """One calibrated X-ray."""
+
+    image: FilePath = Field(description=f"the X-ray: PNG, TIFF (8 or 16 bit, grey) or DICOM (XA, RF, DX, CR); {_PATH}")
+    projection: Matrix3x4 = Field(
+        description="the projection matrix P, 3 rows of 4, pixels from world mm: P [X Y Z 1]^T = w [u v 1]^T with "
+        "w > 0 in front of the source; integer pixels are pixel centres"
+    )
+    polarity: Polarity = Field("auto", description="whether metal is dark or bright in the file; auto finds out")
+    mask: FilePath | None = Field(
+        None,
+        description=f"the background mask M_bg, same size as the image, non-zero where the projection counts; {_PATH}",
+    )
+    target: FilePath | None = Field(
+        None, description=f"a segmentation of the implants for the Dice score, same size as the image; {_PATH}"
+    )
+
+
+class PartFile(FileModel):
+    """A piece of an implant that can move against the others about the pivot."""
+
+    name: Name = Field(description="the part's name, as in shank or tower")
+    mesh: FilePath = Field(description=f"the part's mesh, in the CAD frame and the unit of its model; {_PATH}")
+
+
+class ModelFile(FileModel):
+    """A CAD model with its landmarks."""
+
+    mesh: FilePath = Field(description=f"the whole implant: STL, OBJ, PLY, VTK or STEP; {_PATH}")
+    unit: Unit = Field("mm", description="the unit of the mesh file; it is turned into mm when read")
+    tip: Point3 = Field(description="the screw's tip in the CAD frame, [x, y, z] in mm")
+    center: Point3 = Field(
+        description="the centre of the screw's body in the CAD frame, as it is marked in the images, [x, y, z] in mm"
+    )
+    parts: tuple[PartFile, ...] | None = Field(
+        None, description="parts that can move against each other; the first one carries tip and center"
+    )
+    pivot: Point3 | None = Field(
+        None, description="the point of the CAD frame about which the parts move, [x, y, z] in mm"
+    )
+
+
+class AnnotationFile(FileModel):
+    """One screw as it was marked in one view."""
+
+    label: Name = Field(description="the screw's name in this view; labels are independent between views")
+    tip: Point2 = Field(description="the screw's tip in the image, [u, v] in px")
+    center: Point2 = Field(description="the centre of the screw's body in the image, [u, v] in px")
+    model: Name | None = Field(None, description="the screw's model, where it is known; else any of the case may be it")
+
+
+class CaseFile(FileModel):
+    """case.json: X-rays, their calibrations, CAD models and the landmarks marked in the images."""
+
+    format: Literal["screwpose-case/1"] = Field(description="the format and its version")
+    id: Name = Field(description="the name of the case")
+    views: dict[Name, ViewFile] = Field(
+        min_length=2, description="the X-rays by name, two or more; AP and LAT by custom"
+    )
+    models: dict[Name, ModelFile] = Field(min_length=1, description="the CAD models by name")
+    annotations: dict[Name, tuple[AnnotationFile, ...]] = Field(
+        description="for each view the screws marked in it; lists may differ in length"
+    )
+
+
+class TruthScrew(FileModel):
+    """Where one screw really is."""
+
+    labels: dict[Name, Name] = Field(description="the screw's label in each view in which it is marked")
+    model: Name = Field(description="the screw's model, a key of the case's models")
+    world_from_cad: Pose = Field(description="the screw's pose, 4 x 4, rigid, mm: x_world = world_from_cad @ x_cad")
+    parts: dict[Name, Pose] | None = Field(None, description="the pose of each part, world_from_cad, 4 x 4, rigid, mm")
+
+
+class TruthFile(FileModel):
+    """truth.json: the true poses of a simulated or measured case, read by scoring alone."""
+
+    format: Literal["screwpose-truth/1"] = Field(description="the format and its version")
+    case: Name = Field(description="the id of the case")
+    screws: tuple[TruthScrew, ...] = Field(description="every screw of the case")
