@@ -1,0 +1,20 @@
+"""How well does a posed scene explain the images? (floor 3)"""
+
+from screwpose.similarity.reference import dice, forward_differences, gradient_correlation_loss
+from screwpose.similarity.scene import Posed, SceneScore, Silhouette, ViewScore, score_scene, union_mask
+from screwpose.similarity.target import Target, Window, make_target
+
+__all__ = [
+    "Posed",
+    "SceneScore",
+    "Silhouette",
+    "Target",
+    "ViewScore",
+    "Window",
+    "dice",
+    "forward_differences",
+    "gradient_correlation_loss",
+    "make_target",
+    "score_scene",
+    "union_mask",
+]

@@ -1,0 +1,77 @@
+"""One X-ray made ready to be compared with many projections.
+
+The numerator of the gradient correlation loss is linear in the mask: ``sum(D m . D I) = sum(m (D^T D I))``. So
+``A = D^T D I`` is computed once, and what is left for a mask is the sum of A under it and a count of its edges
+(a test holds it to
+`reference.gradient_correlation_loss`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from screwpose._types import BoolArray, FloatArray, ImageArray
+from screwpose.similarity.reference import forward_differences
+
+Window = tuple[slice, slice]
+"""Rows and columns of a part of the image."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What the projections of one view are compared with.
+
+    Parameters
+    ----------
+    adjoint : (rows, columns), ``D^T D I`` of the X-ray I, within the region.
+    gradient_norm : ``sqrt(sum |D I|^2)`` within the region.
+    region : (rows, columns), M_bg: the pixels that count.
+    metal : (rows, columns), the segmented implants, within the region, for the Dice score.
+    """
+
+    adjoint: FloatArray
+    gradient_norm: float
+    region: BoolArray
+    metal: BoolArray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.region.shape[0], self.region.shape[1]
+
+    def loss(self, mask: BoolArray, window: Window | None = None) -> float:
+        """Gradient correlation loss of a projected mask.
+
+        Parameters
+        ----------
+        mask : (rows, columns) of the image or of the window.
+        window : the part of the image that the mask covers; outside it the mask is empty. The loss is that of the
+            whole image, exactly, as long as the mask leaves the window's inner border free.
+        """
+        window = window or (slice(0, self.shape[0]), slice(0, self.shape[1]))
+        region = self.region[window]
+        final = mask & region
+        correlation = float(self.adjoint[window][final].sum())
+        transitions = np.count_nonzero((final[:, 1:] != final[:, :-1]) & region[:, 1:] & region[:, :-1])
+        transitions += np.count_nonzero((final[1:] != final[:-1]) & region[1:] & region[:-1])
+        if transitions == 0 or self.gradient_norm == 0.0:
+            return 0.0
+        return -correlation / (float(np.sqrt(transitions)) * self.gradient_norm)
+
+
+def make_target(pixels: ImageArray, region: BoolArray, metal: BoolArray) -> Target:
+    """Prepare an X-ray.
+
+    Parameters
+    ----------
+    pixels : (rows, columns), metal bright.
+    region : (rows, columns), M_bg: the pixels that count.
+    metal : (rows, columns), the segmented implants.
+    """
+    along_u, along_v = forward_differences(pixels, region)
+    # The transpose of a forward difference: what leaves a pixel to the right enters its right neighbour.
+    adjoint = -along_u - along_v
+    adjoint[:, 1:] += along_u[:, :-1]
+    adjoint[1:, :] += along_v[:-1, :]
+    norm = float(np.sqrt(np.sum(along_u**2 + along_v**2)))
+    return Target(adjoint, norm, region, metal & region)
