@@ -1,10 +1,15 @@
-"""What was asked: a case with its images, cameras, implants and landmarks in memory."""
+"""What was asked: a case with its images, cameras, implants and landmarks in memory, and how it gets there."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from screwpose._types import BoolArray, FloatArray
+from screwpose.errors import CaseError
+from screwpose.files.findings import Finding, errors_in, raise_first, warnings_in
 from screwpose.geometry.camera import Camera
 from screwpose.images.radiograph import Radiograph
 from screwpose.implants.model import Implant
@@ -47,3 +52,102 @@ class Case:
     annotations: Mapping[str, tuple[Annotation, ...]]
     path: Path | None = None
     warnings: tuple[str, ...] = field(default=())
+
+
+def read_case(path: str | Path) -> Case:
+    """Read a case with everything that it names, and check it.
+
+    Parameters
+    ----------
+    path : the case file, or the folder in which it is as ``case.json``.
+
+    Raises
+    ------
+    InputError
+        The first thing that is wrong, as the class of error that fits it; the message ends with how many more there
+        are. Warnings do not raise: they stand in the case's `warnings`.
+    """
+    case, findings = inspect_case(path)
+    raise_first(findings, f"`screwpose check {path}`")
+    if case is None:  # nothing but a fault of this program gets here
+        raise CaseError("the case could not be read, and no reason was found", file=case_file(path))
+    return case
+
+
+def inspect_case(path: str | Path) -> tuple[Case | None, tuple[Finding, ...]]:
+    """Read a case and find everything in it that can be known to be wrong, all at once.
+
+    Parameters
+    ----------
+    path : the case file, or the folder in which it is as ``case.json``.
+
+    Returns
+    -------
+    The case, None where an error prevents solving; and the findings, errors first, each kind in the order of the file.
+    """
+    from screwpose.files.schema_case import CASE_FORMAT, CaseFile
+    from screwpose.files.strict_json import parse_json
+    from screwpose.files.wording import format_finding, validated
+
+    file = case_file(path)
+    try:
+        parsed = parse_json(file)
+    except CaseError as error:
+        return None, (Finding.of_error(error, file),)
+    wrong_format = format_finding(parsed.data, CASE_FORMAT, file)
+    if wrong_format:
+        return None, (wrong_format,)
+    findings = list(parsed.findings)
+    content = validated(parsed.data, CaseFile, file, findings)
+    views, implants, annotations, more = _contents(parsed.data, file)
+    findings += more
+    errors, warnings = errors_in(findings), warnings_in(findings)
+    if errors or content is None:
+        return None, errors + warnings
+    texts = tuple(warning.within_file() for warning in warnings)
+    return Case(content.id, views, implants, annotations, file, texts), warnings
+
+
+def case_file(path: str | Path) -> Path:
+    """The case file that is meant by a path: itself, or ``case.json`` in the folder that it is."""
+    path = Path(path)
+    return path / "case.json" if path.is_dir() else path
+
+
+def _contents(
+    data: Mapping[str, Any], file: Path
+) -> tuple[dict[str, View], dict[str, Implant], dict[str, tuple[Annotation, ...]], list[Finding]]:
+    """Read what the case names, as far as it can be read, and check how it fits together."""
+    from screwpose.files.annotation_checks import check_annotations
+    from screwpose.files.camera_checks import cameras_of
+    from screwpose.files.inspection import Inspection, objects_in, screws_in
+    from screwpose.files.model_checks import read_implants
+    from screwpose.files.schema_case import ModelFile, ViewFile
+    from screwpose.files.view_checks import read_images
+
+    inspection = Inspection(file)
+    view_entries = objects_in(data.get("views"), ViewFile)
+    marked = screws_in(data.get("annotations"))
+    images = read_images(view_entries, inspection)
+    sizes = {name: image.radiograph.size for name, image in images.items()}
+    matrices = {name: np.array(view["projection"]) for name, view in view_entries.items() if "projection" in view}
+    middles_px = {
+        view: np.mean([point for _, screw in screws for point in (screw.tip, screw.center)], axis=0)
+        for view, screws in marked.items()
+        if screws
+    }
+    cameras = cameras_of(matrices, sizes, middles_px, inspection)
+    implants = read_implants(objects_in(data.get("models"), ModelFile), inspection)
+    check_annotations(marked, data, sizes, inspection)
+    views = {
+        name: View(name, cameras[name], image.radiograph, image.mask, image.target)
+        for name, image in images.items()
+        if name in cameras and image.mask is not None
+    }
+    annotations = {
+        view: tuple(
+            Annotation(screw.label, np.array(screw.tip), np.array(screw.center), screw.model) for _, screw in screws
+        )
+        for view, screws in marked.items()
+    }
+    return views, implants, annotations, inspection.findings

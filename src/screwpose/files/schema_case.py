@@ -10,7 +10,16 @@ CASE_FORMAT = "screwpose-case/1"
 TRUTH_FORMAT = "screwpose-truth/1"
 
 Polarity: TypeAlias = Literal["metal-dark", "metal-bright", "auto"]
-Unit: TypeAlias = Literal["mm", "cm", "m", "in"]
+Unit: TypeAlias = Literal["mm", "cm", "m", "inch"]
+
+# What to do about a key that is missing or wrong, by model and key.
+_INSPECT = "`screwpose model inspect FILE` proposes landmarks for a mesh."
+REMEDIES = {
+    ("ModelFile", "tip"): _INSPECT,
+    ("ModelFile", "center"): _INSPECT,
+    ("CaseFile", "annotations"): 'Give every view a list of its screws, "AP": [] where it shows none.',
+    ("CaseFile", "views"): "Depth needs a second view from another direction.",
+}
 
 _PATH = "a path relative to the case file's folder, with forward slashes, that stays in that folder"
 FilePath: TypeAlias = Annotated[str, Field(min_length=1)]
