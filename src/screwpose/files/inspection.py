@@ -115,8 +115,8 @@ def screws_in(data: Any) -> MarkedScrews:
 
 @cache
 def _adapters(model: type[BaseModel]) -> dict[str, TypeAdapter[Any]]:
-    return {
-        # The entry carries the checks that stand beside the type in its Annotated.
-        key: TypeAdapter(Annotated[entry.annotation, entry])
-        for key, entry in model.model_fields.items()
-    }
+    adapters = {}
+    for key, entry in model.model_fields.items():
+        kind: Any = Annotated[entry.annotation, entry]  # the entry carries the checks that stood beside the type
+        adapters[key] = TypeAdapter(kind)
+    return adapters
