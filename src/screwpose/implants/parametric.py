@@ -125,9 +125,7 @@ def _thread_depth(z: FloatArray, design: ScrewDesign) -> FloatArray:
     entry = _smooth((z - 0.1 * design.shank_diameter_mm) / (1.2 * design.shank_diameter_mm))
     exit_ = _smooth((design.thread_end_mm - z) / (0.6 * design.pitch_mm))
     crest = 0.5 * design.shank_diameter_mm - _core_radius(z, design)
-    full = np.clip(crest, 0.0, None)
-    at_tip = 0.5 * (design.shank_diameter_mm - design.core_mm)  # over the cone the thread is no deeper than on the body
-    return np.asarray(np.minimum(full, at_tip) * entry * exit_)
+    return np.asarray(np.clip(crest, 0.0, None) * entry * exit_)
 
 
 def _smooth(x: FloatArray) -> FloatArray:
