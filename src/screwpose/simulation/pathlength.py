@@ -110,7 +110,7 @@ def path_length_patch(
         return PathLengthPatch(row, column, np.zeros(shape), supersample)
     depth_sums = _depth_sums(x - first_column, y - first_row, 1.0 / depth, shape)
     handedness = np.sign(np.linalg.det(projection[:, :3]))
-    samples = handedness * depth_sums * _distance_per_depth(projection, first_row, first_column, shape)
+    samples = handedness * depth_sums * distance_per_depth(projection, first_row, first_column, shape)
     _require_closed(depth_sums, samples)
     return PathLengthPatch(row, column, np.maximum(samples, 0.0, out=samples), supersample)
 
@@ -257,8 +257,14 @@ def _add_hits(total: FloatArray, spans: _Spans, part: slice, columns: int) -> No
     total[low:high] += np.bincount(place - low, weights=depth, minlength=high - low)
 
 
-def _distance_per_depth(projection: FloatArray, first_row: int, first_column: int, shape: tuple[int, int]) -> FloatArray:
-    """Distance along the ray for each mm of depth, at each sample: the length of ``M^-1 [x y 1]``."""
+def distance_per_depth(projection: FloatArray, first_row: int, first_column: int, shape: tuple[int, int]) -> FloatArray:
+    """Distance along the ray for each mm of depth, at each sample: the length of ``M^-1 [x y 1]``.
+
+    Parameters
+    ----------
+    projection : (3, 4), samples from world mm.
+    first_row, first_column, shape : the part of the samples' grid.
+    """
     inverse = np.linalg.inv(projection[:, :3])
     G = inverse.T @ inverse
     x = first_column + np.arange(shape[1])

@@ -1,0 +1,231 @@
+"""A lumbar spine in a torso, made from a few measures: enough for screws to be seen where they are seen in patients.
+
+The patient's frame is LPS in mm: x to the left, y to the back, z to the head, the origin in the middle of the body of
+the level that carries the screws. Measures are those of an adult's L3 (Panjabi et al. 1992, Spine 17, 299), rounded.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from screwpose._types import FloatArray
+from screwpose.geometry.rigid import exp_rotation, transform
+from screwpose.implants.model import Mesh
+from screwpose.simulation import solids
+from screwpose.simulation.materials import (
+    CANCELLOUS_BONE,
+    CORTICAL_BONE,
+    DISC,
+    FAT,
+    GAS,
+    MUSCLE,
+    VISCERA,
+)
+from screwpose.simulation.xray import Body
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """What a patient measures, in mm.
+
+    Parameters
+    ----------
+    body_half_width, body_half_depth, body_height : of the vertebral bodies.
+    disc_height : between them.
+    pedicle_x : of the pedicles' axes, from the middle plane.
+    cortex : thickness of the cortical shell.
+    lordosis_radius : of the curve on which the bodies stand, its centre behind the patient.
+    half_width, front, back : of the torso, from the origin.
+    fat : thickness of the layer under the skin.
+    gas_bubbles : how many in the bowel.
+    """
+
+    body_half_width: float = 23.0
+    body_half_depth: float = 17.0
+    body_height: float = 27.0
+    disc_height: float = 10.0
+    pedicle_x: float = 15.0
+    cortex: float = 1.0
+    lordosis_radius: float = 320.0
+    half_width: float = 165.0
+    front: float = 125.0
+    back: float = 85.0
+    fat: float = 18.0
+    gas_bubbles: int = 6
+
+    @property
+    def level_pitch(self) -> float:
+        """From one vertebral body to the next, along the curve."""
+        return self.body_height + self.disc_height
+
+
+def random_anatomy(rng: np.random.Generator, pedicle_x: float) -> Anatomy:
+    """A patient between small and stout."""
+    size = rng.uniform(0.92, 1.08)
+    return Anatomy(
+        body_half_width=max(23.0 * size, pedicle_x + 5.0),
+        body_half_depth=17.0 * size,
+        body_height=27.0 * size,
+        disc_height=rng.uniform(7.0, 12.0),
+        pedicle_x=pedicle_x,
+        cortex=rng.uniform(0.7, 1.3),
+        lordosis_radius=rng.uniform(260.0, 600.0),
+        half_width=rng.uniform(145.0, 180.0),
+        front=rng.uniform(95.0, 140.0),
+        back=rng.uniform(72.0, 95.0),
+        fat=rng.uniform(8.0, 28.0),
+        gas_bubbles=int(rng.integers(0, 10)),
+    )
+
+
+def world_from_level(anatomy: Anatomy, level: float) -> FloatArray:
+    """The frame (4, 4) of a vertebra, `level` steps towards the head from the origin, on the lordotic curve."""
+    angle = level * anatomy.level_pitch / anatomy.lordosis_radius
+    pose = np.eye(4)
+    pose[:3, :3] = exp_rotation(np.array([-angle, 0.0, 0.0]))
+    pose[:3, 3] = anatomy.lordosis_radius * np.array([0.0, 1.0 - np.cos(angle), np.sin(angle)])
+    return pose
+
+
+def patient(anatomy: Anatomy, rng: np.random.Generator, levels: range = range(-3, 4)) -> list[Body]:
+    """All tissues, from the skin inwards."""
+    return [*_torso(anatomy, rng), *_spine(anatomy, rng, levels)]
+
+
+def _spine(anatomy: Anatomy, rng: np.random.Generator, levels: range) -> list[Body]:
+    outer = solids.mesh(_vertebra(anatomy, 0.0))
+    inner = solids.mesh(_vertebra(anatomy, anatomy.cortex))
+    disc = _disc(anatomy)
+    bodies = []
+    for level in levels:
+        # Vertebrae grow downwards, and no two are alike.
+        growth = (1.0 - 0.02 * level) * np.append(rng.uniform(0.98, 1.02, 2), 1.0)
+        pose = world_from_level(anatomy, level)
+        for mesh, material, replaces, texture in (
+            (outer, CORTICAL_BONE, MUSCLE, 0.05),
+            (inner, CANCELLOUS_BONE, CORTICAL_BONE, 0.08),
+        ):
+            grown = replace(mesh, vertices_mm=mesh.vertices_mm * growth)
+            bodies.append(Body(grown, material, replaces, pose, sharp=False, texture=texture, texture_mm=1.5))
+        bodies.append(Body(disc, DISC, MUSCLE, world_from_level(anatomy, level + 0.5), sharp=False))
+    return bodies
+
+
+def _vertebra(anatomy: Anatomy, shrink: float) -> "Manifold":
+    """A vertebra, every part of it thinner by `shrink` on all sides."""
+    x, back = anatomy.pedicle_x, anatomy.body_half_depth
+    parts = [solids.solid(_vertebral_body(anatomy, shrink))]
+
+    def add(*ellipsoids: tuple[tuple[float, float, float], tuple[float, float, float]]) -> None:
+        thinner = [(at, tuple(max(half - shrink, 0.3) for half in halves)) for at, halves in ellipsoids]
+        parts.append(solids.blob(*thinner))
+
+    for side in (-1.0, 1.0):
+        add(((side * x, back - 6, 5), (4.8, 4, 7.5)), ((side * (x + 1), back + 10, 4.5), (5.2, 4, 7.5)))  # pedicle
+        add(((side * (x + 2), back + 14, 2), (6, 6, 9)), ((side * (x + 2), back + 19, 15), (5.5, 4, 5)))  # upper facet
+        add(((side * (x + 1), back + 17, -2), (5.5, 5, 8)), ((side * (x - 2), back + 23, -19), (5.5, 4, 6)))  # lower
+        add(((side * (x - 1), back + 17, -2), (4, 4, 9)), ((side * 1.5, back + 27, -7), (3.5, 4, 9)))  # lamina
+        add(((side * (x + 3), back + 11, 4), (5, 4, 5)), ((side * (x + 25), back + 17, 6), (4, 3, 5)))  # transverse
+    add(((0, back + 27, -7), (3.2, 5, 8.5)), ((0, back + 50, -13), (3.8, 5, 9)))  # spinous process
+    return solids.union(parts)
+
+
+def _vertebral_body(anatomy: Anatomy, shrink: float) -> Mesh:
+    """A waisted cylinder, kidney-shaped in section, with end plates a little hollow."""
+    height = 0.5 * anatomy.body_height
+    outline = solids.superellipse(1.0, 1.0, 2.3)
+    # The canal's side is flat to hollow.
+    outline[:, 1] -= 0.22 * np.clip(outline[:, 1], 0.0, None) ** 3 * (1.0 - outline[:, 0] ** 2) ** 2
+    # Fractions of the half height, of the width, and the rings of the end plates, from the rim inwards.
+    heights = np.array([-1.0, -0.95, -0.6, -0.2, 0.2, 0.6, 0.95, 1.0])
+    widths = np.array([0.95, 1.0, 0.92, 0.88, 0.88, 0.92, 1.0, 0.95])
+    plate = [(0.6, 0.93), (0.3, 0.9)]
+    z = np.concatenate([[-h for _, h in reversed(plate)], heights, [h for _, h in plate]]) * (height - shrink)
+    w = np.concatenate([[w for w, _ in reversed(plate)], widths, [w for w, _ in plate]])
+    half = np.array([anatomy.body_half_width, anatomy.body_half_depth]) - shrink
+    rings = np.concatenate(
+        [outline[None] * half * w[:, None, None], np.broadcast_to(z[:, None, None], (len(z), len(outline), 1))], axis=2
+    )
+    end = np.array([0.0, 0.0, 0.88 * (height - shrink)])
+    return solids.lofted(rings, -end, end)
+
+
+def _disc(anatomy: Anatomy) -> Mesh:
+    half = 0.5 * anatomy.disc_height
+    outline = solids.superellipse(0.93 * anatomy.body_half_width, 0.85 * anatomy.body_half_depth, 2.3)
+    z, w = half * np.array([-0.9, -0.6, 0.0, 0.6, 0.9]), np.array([0.9, 1.0, 1.04, 1.0, 0.9])
+    rings = np.concatenate(
+        [outline[None] * w[:, None, None], np.broadcast_to(z[:, None, None], (len(z), len(outline), 1))], axis=2
+    )
+    return solids.lofted(rings, np.array([0.0, 0.0, z[0]]), np.array([0.0, 0.0, z[-1]]))
+
+
+def _torso(anatomy: Anatomy, rng: np.random.Generator) -> list[Body]:
+    """Skin and fat, the muscular trunk in it, the belly in that, and gas in the bowel."""
+    depth, middle = 0.5 * (anatomy.front + anatomy.back), 0.5 * (anatomy.back - anatomy.front)
+    trunk_half = np.array([anatomy.half_width, depth]) - anatomy.fat
+    belly_back = -anatomy.body_half_depth - 8.0
+    belly_front = middle - trunk_half[1] + 10.0
+    belly_half = (trunk_half[0] - 14.0, 0.5 * (belly_back - belly_front))
+    belly_y = 0.5 * (belly_back + belly_front)
+    bodies = [
+        Body(
+            _tube((anatomy.half_width, depth), middle, 2.4, 300.0, rng), FAT, sharp=False, texture=0.004, texture_mm=9
+        ),
+        Body(_tube(trunk_half, middle, 2.3, 290.0, rng), MUSCLE, FAT, sharp=False, texture=0.012, texture_mm=6),
+        Body(_tube(belly_half, belly_y, 2.2, 280.0, rng), VISCERA, MUSCLE, sharp=False, texture=0.03, texture_mm=14),
+    ]
+    if anatomy.gas_bubbles:
+        bodies.append(Body(_bowel_gas(anatomy, belly_half, belly_y, rng), GAS, VISCERA, sharp=False))
+    return bodies
+
+
+def _tube(
+    half_mm: tuple[float, float] | FloatArray, y_mm: float, exponent: float, reach_mm: float, rng: np.random.Generator
+) -> Mesh:
+    """A piece of torso: superelliptic, its girth changing a little along z, cut off well outside the field of view."""
+    z = np.linspace(-reach_mm, reach_mm, 9)
+    girth = 1.0 - 0.02 * np.cos(np.pi * (z / 200.0 + rng.uniform(-0.2, 0.2)))
+    outline = solids.superellipse(float(half_mm[0]), float(half_mm[1]), exponent, corners=96)
+    rings = np.concatenate(
+        [outline[None] * girth[:, None, None], np.broadcast_to(z[:, None, None], (len(z), len(outline), 1))], axis=2
+    )
+    rings[:, :, 1] += y_mm
+    return solids.lofted(rings, np.array([0.0, y_mm, z[0]]), np.array([0.0, y_mm, z[-1]]))
+
+
+def _bowel_gas(
+    anatomy: Anatomy, belly_half: tuple[float, float] | FloatArray, belly_y: float, rng: np.random.Generator
+) -> Mesh:
+    """Bubbles of 1 to 3 cm in short chains, as gas lies in a loop of bowel."""
+    bubbles = []
+    for _ in range(anatomy.gas_bubbles):
+        at = np.array([rng.uniform(-0.6, 0.6) * belly_half[0], belly_y + rng.uniform(-0.4, 0.3) * belly_half[1], 0.0])
+        at[2] = rng.uniform(-110.0, 110.0)
+        course = rng.normal(size=3) * [1.0, 0.3, 1.0]
+        for _ in range(int(rng.integers(1, 5))):
+            # Kept within the belly, whatever the course: the gas replaces what is there.
+            at = np.clip(
+                at,
+                [-0.65 * belly_half[0], belly_y - 0.45 * belly_half[1], -200],
+                [0.65 * belly_half[0], belly_y + 0.4 * belly_half[1], 200],
+            )
+            half = rng.uniform(0.5, 1.0) * np.array([14.0, 9.0, 14.0]) * min(1.0, belly_half[1] / 40.0)
+            bubbles.append(solids.blob((at, half)))
+            at = at + 13.0 * course / np.linalg.norm(course) + rng.normal(size=3) * 3.0
+    return solids.mesh(solids.union(bubbles))
+
+
+def carved(tissues: list[Body], metal: Mesh, world_from_metal: FloatArray) -> list[Body]:
+    """Bodies that take the tissues away where an implant is, so that no ray counts both."""
+    in_world = Mesh(transform(world_from_metal, metal.vertices_mm), metal.faces)
+    holes = []
+    for tissue in tissues:
+        shared = solids.intersection(in_world, Mesh(tissue.vertices_in_world_mm, tissue.mesh.faces))
+        if shared is not None:
+            holes.append(Body(shared, tissue.replaces, tissue.material))
+    return holes

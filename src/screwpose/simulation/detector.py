@@ -1,0 +1,145 @@
+"""From what comes through the patient to the grey values that a C-arm puts out."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from screwpose._types import FloatArray
+
+# Scatter is smooth over centimetres: a tenth of the resolution holds it, and takes a hundredth of the time.
+_SCATTER_REDUCTION = 8
+# Below a ten-thousandth of the reference a log display shows nothing; it also keeps the logarithm finite.
+_LEAST_SIGNAL = 1e-4
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A detector and its display chain. Lengths in px are at the detector.
+
+    Parameters
+    ----------
+    image_size : (width, height) in px. The pixel pitch is implied by the projection matrix.
+    supersample : rays along each side of a pixel, for bodies with sharp edges.
+    peak_kv : tube voltage.
+    blur_px : sigma of focal spot and scintillator together, before the noise.
+    scatter_fraction : scattered over all radiation where the signal is at its reference, behind the grid.
+    scatter_sigma_px : over what distance the scatter is smooth.
+    counts_per_px : quanta a pixel counts at the reference signal. An automatic exposure control holds it, so it does
+        not depend on how thick the patient is. Air then counts a hundred times more.
+    electronic_noise : standard deviation in quanta.
+    bits : 8, or 9 to 16 (stored in 16, scaled so that white is 2^bits - 1).
+    display : ``linear`` is a film-like curve (grey rises as a power of the signal and bends towards white), ``log`` is
+        linear in the logarithm between black and white.
+    reference_grey : what the reference signal becomes, 0 black to 1 white.
+    gamma : of the ``linear`` display.
+    log_decades : of the ``log`` display, from black to white.
+    metal_dark : False inverts the greys.
+    field_radius_px : radius of an image intensifier's round field about the image's centre; None for a flat panel.
+    """
+
+    image_size: tuple[int, int] = (1024, 1024)
+    supersample: int = 3
+    peak_kv: float = 90.0
+    blur_px: float = 0.8
+    scatter_fraction: float = 0.25
+    scatter_sigma_px: float = 60.0
+    counts_per_px: float = 1500.0
+    electronic_noise: float = 4.0
+    bits: int = 8
+    display: Literal["linear", "log"] = "linear"
+    reference_grey: float = 0.45
+    gamma: float = 0.7
+    log_decades: float = 2.2
+    metal_dark: bool = True
+    field_radius_px: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 8 <= self.bits <= 16:
+            raise ValueError(f"bits {self.bits}: expected 8 to 16")
+        if not 0.0 <= self.scatter_fraction < 1.0:
+            raise ValueError(f"scatter_fraction {self.scatter_fraction:g}: expected 0 up to, not including, 1")
+        if not 0.0 < self.reference_grey < 1.0:
+            raise ValueError(f"reference_grey {self.reference_grey:g}: expected between 0 and 1")
+
+
+def reference_signal(signal: FloatArray, transmission: FloatArray) -> float:
+    """What the exposure control looks at: the median in the middle of the field, open air left out.
+
+    Parameters
+    ----------
+    signal, transmission : (rows, columns).
+    """
+    rows, columns = signal.shape
+    v, u = np.ogrid[:rows, :columns]
+    middle = (u - (columns - 1) / 2) ** 2 + (v - (rows - 1) / 2) ** 2 < (0.35 * min(rows, columns)) ** 2
+    seen = middle & (transmission < 0.3)
+    return float(np.median(signal[seen] if seen.any() else signal[middle]))
+
+
+def expected_signal(transmission: FloatArray, detector: Detector, fall_off: FloatArray) -> FloatArray:
+    """Blurred primary plus scatter, relative to the reference signal, before noise.
+
+    Parameters
+    ----------
+    transmission : (rows, columns), the primary, 1 in open air.
+    fall_off : (rows, columns), the open beam relative to its largest value.
+
+    References
+    ----------
+    Scatter as ``P (-ln P)`` under a wide kernel: Ohnesorge et al. (1999), Eur. Radiol. 9, 563.
+    """
+    primary = _blurred(transmission * fall_off, detector.blur_px)
+    reference = reference_signal(primary, transmission)
+    to_primary = detector.scatter_fraction / (1.0 - detector.scatter_fraction)
+    if to_primary == 0.0:
+        return primary / reference
+    # At the reference the source term is then to_primary times the primary; open air scatters nothing.
+    source = primary * np.log(np.clip(transmission, 1e-9, 1.0)) / np.log(min(max(reference, 1e-9), 0.9))
+    return np.asarray((primary + to_primary * _smooth_field(source, detector.scatter_sigma_px)) / reference)
+
+
+def noisy(signal: FloatArray, detector: Detector, rng: np.random.Generator) -> FloatArray:
+    """The signal as counted: Poisson plus electronic noise, white over the pixels. A screen's blur of the noise is not
+    modelled."""
+    counts = rng.poisson(np.maximum(signal, 0.0) * detector.counts_per_px).astype(np.float64)
+    counts += rng.normal(0.0, detector.electronic_noise, signal.shape)
+    return np.maximum(counts, 0.0) / detector.counts_per_px
+
+
+def displayed(signal: FloatArray, detector: Detector) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Grey values of a signal that is 1 at the reference."""
+    if detector.display == "log":
+        decades = np.log10(np.maximum(signal, _LEAST_SIGNAL))
+        grey = np.clip(detector.reference_grey + decades / detector.log_decades, 0.0, 1.0)
+    else:
+        grey = 1.0 - (1.0 - detector.reference_grey) ** (np.maximum(signal, 0.0) ** detector.gamma)
+    if not detector.metal_dark:
+        grey = 1.0 - grey
+    if detector.field_radius_px is not None:
+        rows, columns = signal.shape
+        v, u = np.ogrid[:rows, :columns]
+        radius = np.hypot(u - (columns - 1) / 2, v - (rows - 1) / 2)
+        grey *= np.clip(detector.field_radius_px + 0.5 - radius, 0.0, 1.0)  # one pixel of transition, black outside
+    white = 2**detector.bits - 1
+    return np.round(grey * white).astype(np.uint8 if detector.bits == 8 else np.uint16)
+
+
+def _blurred(image: FloatArray, sigma_px: float) -> FloatArray:
+    import cv2
+
+    if sigma_px <= 0.0:
+        return image
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float64)
+
+
+def _smooth_field(image: FloatArray, sigma_px: float) -> FloatArray:
+    """A wide blur, made at a lower resolution."""
+    import cv2
+
+    rows, columns = image.shape
+    small_size = (max(1, columns // _SCATTER_REDUCTION), max(1, rows // _SCATTER_REDUCTION))
+    small = cv2.resize(image, small_size, interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), sigma_px * small_size[0] / columns, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(small, (columns, rows), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
