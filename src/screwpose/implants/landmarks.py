@@ -80,7 +80,7 @@ def propose_landmarks(mesh: Mesh) -> LandmarkProposal:
     far as the radius stays the same, refined until it stands, so that a tilted head does not pull it aside. The end
     from which a thread and a taper are seen is the tip.
     """
-    length, width, axis, middle = _frame(mesh)
+    length, width, axis, middle = principal_frame(mesh)
     if length < _SLENDER * width:
         note = (
             f"It is {length:.3g} mm long and {width:.3g} mm wide: too stout for a screw. Give tip and centre by hand."
@@ -155,7 +155,7 @@ def _text(point: FloatArray) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in point) + ")"
 
 
-def _frame(mesh: Mesh) -> tuple[float, float, FloatArray, FloatArray]:
+def principal_frame(mesh: Mesh) -> tuple[float, float, FloatArray, FloatArray]:
     """Length and width along the principal axes of the surface, the first of these, and the middle."""
     corners = mesh.triangles_mm
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -282,10 +282,9 @@ def _first_plateau(radius: FloatArray, step: float) -> int | None:
     """The first index from which the radius stays the same for some radii."""
     for i in range(len(radius)):
         window = radius[i : i + max(2, int(_SHANK_LENGTH_TO_RADIUS * radius[i] / step))]
-        if (i + len(window)) < len(radius) + 1 and window.min() > 0.0 and window.max() < 1.2 * window.min():
-            if len(window) * step < 0.9 * _SHANK_LENGTH_TO_RADIUS * radius[i]:
-                return None  # the mesh ends first
-            return i
+        if window.min() > 0.0 and window.max() < 1.2 * window.min():
+            whole = len(window) * step >= 0.9 * _SHANK_LENGTH_TO_RADIUS * radius[i]  # else the mesh ends first
+            return i if whole else None
     return None
 
 

@@ -85,7 +85,6 @@ def write_stl(mesh: Mesh, path: str | Path) -> None:
     OutputError
         The file cannot be written.
     """
-    path = Path(path)
     corners = mesh.triangles_mm
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -93,17 +92,28 @@ def write_stl(mesh: Mesh, path: str | Path) -> None:
     facets["normal"] = normals / np.where(lengths > 0.0, lengths, 1.0)
     facets["corners"] = corners
     header = b"binary STL, mm".ljust(HEADER_BYTES)  # must not begin with 'solid', the mark of ASCII
+    write_bytes(Path(path), header + len(facets).to_bytes(4, "little") + facets.tobytes())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file in one step: a reader sees the whole of it or the one that was there before.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
     temporary = None
     try:
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
             temporary = Path(file.name)
-            file.write(header + len(facets).to_bytes(4, "little") + facets.tobytes())
+            file.write(data)
         temporary.chmod(0o644)  # a temporary file is born private
         os.replace(temporary, path)  # noqa: PTH105  (the one call that is atomic on every platform)
     except OSError as error:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-        raise OutputError(f"{path}: the STL file cannot be written ({error.strerror}).") from error
+        raise OutputError(f"{path}: the file cannot be written ({error.strerror}).") from error
 
 
 def transformed(mesh: Mesh, target_from_source: FloatArray) -> Mesh:

@@ -57,7 +57,8 @@ def make_screw(design: ScrewDesign | None = None, name: str = "screw") -> Implan
 
 def _mesh(solid: "Manifold") -> Mesh:
     """From the frame of the construction (axis +z) to the CAD frame (axis +y)."""
-    raw = solid.simplify(1e-4).to_mesh64()  # drops the slivers that cutting leaves
+    pieces = solid.simplify(1e-4).decompose()  # without the slivers that cutting leaves
+    raw = max(pieces, key=lambda piece: piece.volume()).to_mesh64()  # and without bubbles between ball and seat
     x, y, z = np.asarray(raw.vert_properties, dtype=np.float64)[:, :3].T
     return Mesh(np.stack([x, z, -y], axis=1), np.asarray(raw.tri_verts, dtype=np.int64))
 
