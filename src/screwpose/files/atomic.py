@@ -160,6 +160,9 @@ def _replaceable(path: Path, marker: str) -> Path:
     try:
         place = path.resolve()
         if not place.exists():
+            above = next(folder for folder in place.parents if folder.exists())
+            if not above.is_dir():
+                raise OutputError(f"{path}: {above} is a file, not a folder. Choose another folder.")
             return place
         if not place.is_dir():
             raise OutputError(f"{path}: a file stands where the output folder is to be. Choose another folder.")

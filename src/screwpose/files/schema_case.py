@@ -18,6 +18,7 @@ REMEDIES = {
     ("ModelFile", "tip"): _INSPECT,
     ("ModelFile", "center"): _INSPECT,
     ("CaseFile", "annotations"): 'Give every view a list of its screws, "AP": [] where it shows none.',
+    ("CaseFile", "models"): "Name the CAD mesh of at least one implant.",
     ("CaseFile", "views"): "Depth needs a second view from another direction.",
 }
 

@@ -135,7 +135,7 @@ def _words(detail: ErrorDetails, model: type[BaseModel]) -> tuple[str, str | Non
     if kind == "literal_error":
         return shown(value), str(context["expected"]), None
     if kind == "too_short":
-        return f"has {context['actual_length']}", f"{context['min_length']} or more", None
+        return f"has {context['actual_length']}", f"{context['min_length']} or more", remedy
     if kind == "greater_than_equal":
         return shown(value), f"{context['ge']:g} or more", None
     if kind in _KINDS:
