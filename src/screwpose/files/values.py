@@ -131,9 +131,10 @@ class _Snapped:
         raise problem_of(f"{value:.6g}", f"{self.low:g} to {self.high:g}")
 
 
-Number: TypeAlias = Annotated[float, BeforeValidator(_plain), Field(strict=True, allow_inf_nan=False)]
-NotNegative: TypeAlias = Annotated[Number, Field(ge=0)]
-Count: TypeAlias = Annotated[int, BeforeValidator(_plain), Field(strict=True, ge=0)]
+# The bounds stand next to the type, within reach of pydantic's JSON Schema; `_plain` comes last and so runs first.
+Number: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False), BeforeValidator(_plain)]
+NotNegative: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), BeforeValidator(_plain)]
+Count: TypeAlias = Annotated[int, Field(strict=True, ge=0), BeforeValidator(_plain)]
 Fraction: TypeAlias = Annotated[
     Number, AfterValidator(_Snapped(0, 1)), Field(json_schema_extra={"minimum": 0, "maximum": 1})
 ]
