@@ -1,0 +1,22 @@
+"""Which screw in AP is which in LAT? (floor 5)"""
+
+from screwpose.pairing.assignment import Assignment, cheapest_assignments
+from screwpose.pairing.confidence import Confidence, judge, p_value, probabilities
+from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, combinations
+from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
+
+__all__ = [
+    "Assignment",
+    "Combination",
+    "Confidence",
+    "Hypothesis",
+    "HypothesisTable",
+    "LandmarkNoise",
+    "SegmentFit",
+    "cheapest_assignments",
+    "combinations",
+    "fit_segment",
+    "judge",
+    "p_value",
+    "probabilities",
+]

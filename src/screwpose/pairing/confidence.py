@@ -1,0 +1,77 @@
+"""How sure is the pairing? Probabilities from the landmarks' chi-square, and when to refuse.
+
+The probability of a combination is its share of ``exp(-chi^2 / 2)`` among all combinations. If even the best one
+explains the landmarks worse than the assumed noise allows, the noise was assumed too small, and the differences
+between the combinations are divided by the same factor (Birge's ratio): a bad fit must not make a sure answer.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from screwpose._types import FloatArray
+from screwpose.pairing.hypotheses import Combination
+
+Status = Literal["confident", "ambiguous", "refused"]
+_CONFIDENT_PROBABILITY = 0.99
+# Landmarks this unlikely under the assumed noise are doubted, and at the second limit not believed at all.
+_DOUBTFUL_P_VALUE = 1e-3
+_IMPOSSIBLE_P_VALUE = 1e-12
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """How sure a chosen combination is, and why it is not, in words for the result's warnings."""
+
+    status: Status
+    probability: float
+    reasons: tuple[str, ...]
+
+
+def probabilities(combinations: Sequence[Combination]) -> FloatArray:
+    """Probability (K,) of each combination, given that one of them is right."""
+    chi_square = np.array([combination.chi_square for combination in combinations])
+    ratio = max(1.0, float(chi_square.min()) / combinations[int(chi_square.argmin())].degrees_of_freedom)
+    weights = np.exp(-(chi_square - chi_square.min()) / (2.0 * ratio))
+    return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+
+def p_value(combination: Combination) -> float:
+    """The chance of landmarks at least this far off, if the combination is right and the noise is as assumed."""
+    from scipy.stats import chi2
+
+    return float(chi2.sf(combination.chi_square, combination.degrees_of_freedom))
+
+
+def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
+    """Judge the choice of one combination by the landmarks.
+
+    Parameters
+    ----------
+    combinations : all that were considered.
+    chosen : index of the one that the method chose.
+    """
+    probability = float(probabilities(combinations)[chosen])
+    chance = p_value(combinations[chosen])
+    chi_square, freedom = combinations[chosen].chi_square, combinations[chosen].degrees_of_freedom
+    off = f"chi-square {chi_square:.1f} for {freedom} degrees of freedom"
+    if chance < _IMPOSSIBLE_P_VALUE:
+        return Confidence(
+            "refused",
+            probability,
+            (
+                f"no pairing explains the landmarks with these projection matrices and models ({off}): "
+                "the matrices, the models' lengths or the landmarks are wrong",
+            ),
+        )
+    reasons = []
+    if probability < _CONFIDENT_PROBABILITY:
+        reasons.append(
+            f"the landmarks leave the pairing open: the chosen one has a probability of {probability:.3f}, "
+            f"{_CONFIDENT_PROBABILITY} is needed to be sure"
+        )
+    if chance < _DOUBTFUL_P_VALUE:
+        reasons.append(f"the landmarks are further off than their assumed noise allows ({off})")
+    return Confidence("ambiguous" if reasons else "confident", probability, tuple(reasons))
