@@ -61,7 +61,7 @@ class ScrewDesign:
         for field in fields(self):
             values = getattr(self, field.name)
             for value in values if isinstance(values, tuple) else (values,):
-                if isinstance(value, float | int) and not math.isfinite(value):
+                if value is not None and not math.isfinite(value):
                     raise MeshError(f"{value} is no dimension", field=field.name, expected="a finite number")
         self._check_shank()
         self._check_head()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from screwpose._types import FloatArray, IntArray
 from screwpose.errors import MeshError, OutputError
@@ -73,8 +74,8 @@ def read_mesh(path: str | Path, unit: str = "mm") -> Mesh:
             file=path,
             remedy="Export it again: the file is damaged or its writer is.",
         )
-    merged = _merged(vertices, faces)
-    return Mesh(merged.vertices_mm * mm_per_unit, merged.faces)
+    mesh = merged(vertices, faces)
+    return Mesh(mesh.vertices_mm * mm_per_unit, mesh.faces)
 
 
 def write_stl(mesh: Mesh, path: str | Path) -> None:
@@ -168,9 +169,9 @@ def _mm_per_unit(path: Path, unit: str) -> float:
     return MM_PER_UNIT[unit]
 
 
-def _merged(vertices: FloatArray, faces: IntArray) -> Mesh:
+def merged(vertices: NDArray[np.floating], faces: IntArray) -> Mesh:
     """Make vertices of equal coordinates one, in the order in which the faces first use them."""
-    used = vertices[faces.ravel()] + 0.0  # -0.0 becomes 0.0
+    used = vertices[faces.ravel()].astype(np.float64) + 0.0  # -0.0 becomes 0.0
     order = np.lexsort(used.T)
     rows = used[order]
     is_new = np.concatenate([[True], np.any(rows[1:] != rows[:-1], axis=1)])

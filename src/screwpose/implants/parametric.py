@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from screwpose._types import FloatArray, IntArray
+from screwpose.errors import MeshError
 from screwpose.implants.design import ScrewDesign
+from screwpose.implants.health import mesh_report
+from screwpose.implants.mesh import merged
 from screwpose.implants.model import Implant, Mesh, Part
 
 if TYPE_CHECKING:
@@ -23,6 +26,8 @@ _BALL_GAP_MM = 0.15
 _BALL_SINK_MM = 0.3  # the seat is this much lower than the ball, so that both touch in a ring and are one body
 _HEX_MM = 3.5  # across the flats, the common driver
 _TOWER_OVERLAP_MM = 3.0
+_SLIVERS_MM = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # triangles lower than this are left over from cutting
+_BUBBLE_MM3 = 1e-2
 
 
 def make_screw(design: ScrewDesign | None = None, name: str = "screw") -> Implant:
@@ -37,8 +42,13 @@ def make_screw(design: ScrewDesign | None = None, name: str = "screw") -> Implan
     -------
     Implant
         Tip at the origin, centre in the middle of the shank, parts ``shank`` and ``tower`` (``head`` without a tower).
-        The pivot is the centre of a polyaxial screw's ball, None for a monoaxial one, whose parts are cut at the base
-        of the tulip and together are the mesh exactly.
+        The pivot is the centre of a polyaxial screw's ball, where the parts overlap by up to 0.1 mm in a ring. It is
+        None for a monoaxial one, whose parts are cut at the base of the tulip and together are the mesh exactly.
+
+    Raises
+    ------
+    MeshError
+        The design's parts do not hang together, or cannot be closed.
     """
     design = ScrewDesign() if design is None else design
     head = _head(design)
@@ -56,11 +66,25 @@ def make_screw(design: ScrewDesign | None = None, name: str = "screw") -> Implan
 
 
 def _mesh(solid: "Manifold") -> Mesh:
-    """From the frame of the construction (axis +z) to the CAD frame (axis +y)."""
-    pieces = solid.simplify(1e-4).decompose()  # without the slivers that cutting leaves
-    raw = max(pieces, key=lambda piece: piece.volume()).to_mesh64()  # and without bubbles between ball and seat
-    x, y, z = np.asarray(raw.vert_properties, dtype=np.float64)[:, :3].T
-    return Mesh(np.stack([x, z, -y], axis=1), np.asarray(raw.tri_verts, dtype=np.int64))
+    """One closed mesh, from the frame of the construction (axis +z) to the CAD frame (axis +y).
+
+    Vertices that are closer than float32 can tell apart would join in an STL file and open it, so slivers are dropped
+    more boldly until the mesh stays closed there.
+    """
+    for sliver_mm in _SLIVERS_MM:
+        pieces = solid.simplify(sliver_mm).decompose()
+        solids = [piece for piece in pieces if piece.volume() > _BUBBLE_MM3]  # hollows between ball and seat are < 0
+        if len(solids) != 1:
+            raise MeshError(
+                f"the screw falls into {len(solids)} pieces",
+                remedy="Choose diameters of tulip, rod and tower that leave metal between them.",
+            )
+        raw = solids[0].to_mesh64()
+        x, y, z = np.asarray(raw.vert_properties, dtype=np.float64)[:, :3].T
+        mesh = Mesh(np.stack([x, z, -y], axis=1), np.asarray(raw.tri_verts, dtype=np.int64))
+        if mesh_report(merged(mesh.vertices_mm.astype(np.float32), mesh.faces)).watertight:
+            return mesh
+    raise MeshError("the screw has slivers that no STL file can hold", remedy="Choose another number of segments.")
 
 
 def _shank(design: ScrewDesign) -> "Manifold":
@@ -181,10 +205,11 @@ def _driver(design: ScrewDesign) -> "Manifold":
     """The hexagon for the screwdriver, from the ball's or the channel's top downwards."""
     import manifold3d
 
-    top = design.channel_bottom_mm
-    depth = 0.9 * design.ball_radius_mm if design.polyaxial else 3.0
-    hexagon = manifold3d.Manifold.cylinder(depth, _HEX_MM / math.sqrt(3.0), circular_segments=6)
-    return hexagon.translate((0, 0, top - depth))
+    # It ends inside the channel, not at its lowest line: a lid that touches there would be no solid.
+    top = design.channel_bottom_mm + 0.4 * design.channel_mm
+    bottom = design.channel_bottom_mm - (0.9 * design.ball_radius_mm if design.polyaxial else 3.0)
+    hexagon = manifold3d.Manifold.cylinder(top - bottom, _HEX_MM / math.sqrt(3.0), circular_segments=6)
+    return hexagon.translate((0, 0, bottom))
 
 
 def _drilled(solid: "Manifold", design: ScrewDesign) -> "Manifold":
