@@ -221,6 +221,14 @@ BAD = {
         CaseError,
         r"models\.box\.unit: \"inches\"; expected 'mm', 'cm', 'm' or 'inch'",
     ),
+    "unit of a STEP file": (
+        lambda b: (
+            b.meshes.update({"models/box.step": "ISO-10303-21;"}),
+            b.data["models"]["box"].update(mesh="models/box.step", unit="m"),
+        ),
+        MeshError,
+        r"box\.step: models\.box\.unit: the unit 'm' was given for a STEP file, which states its own\. Leave",
+    ),
     "model without a tip": (
         _without(["models", "box", "tip"]),
         CaseError,

@@ -153,6 +153,18 @@ WARNINGS = {
         ),
         r"views\.AP\.projection: the focal length is 2e\+04 x 2e\+04 px, 312 times the image's width, which is unusual",
     ),
+    "skew": (
+        lambda b: b.view("AP").update(projection=(np.array([[1, 0.1, -3.15], [0, 1, 0], [0, 0, 1]]) @ AP).tolist()),
+        r"views\.AP\.projection: the skew is 20 px, which is unusual",
+    ),
+    "unequal focal lengths": (
+        lambda b: b.view("AP").update(projection=(np.array([[2, 0, -31.5], [0, 1, 0], [0, 0, 1]]) @ AP).tolist()),
+        r"views\.AP\.projection: the focal lengths along u and v are 400 and 200 px, which is unusual",
+    ),
+    "model's centre off the mesh": (
+        lambda b: b.data["models"]["box"].update(center=[0, 122.5, 0]),
+        r"models\.box: The center ",
+    ),
     "parts without pivot": (
         lambda b: b.data["models"]["box"].update(parts=[{"name": "all", "mesh": "models/box.stl"}]),
         r"models\.box\.pivot: the key is missing, and there are parts; expected the point about which they move",

@@ -171,10 +171,10 @@ def _replaceable(path: Path, marker: str) -> Path:
                 f"{path}: the folder is not empty and holds no {marker}, so it is no earlier output and is left alone. "
                 "Choose another folder, or empty this one."
             )
+        if Path.cwd().is_relative_to(place):
+            raise OutputError(f"{path}: the output would replace the folder you are in. Choose a folder below it.")
     except OSError as error:
         raise _output_error(path, error) from error
-    if Path.cwd().is_relative_to(place):
-        raise OutputError(f"{path}: the output would replace the folder you are in. Choose a folder below it.")
     return place
 
 
