@@ -129,7 +129,7 @@ def _vertebra(anatomy: Anatomy, shrink: float) -> "Manifold":
         add(((side * (x + 2), back + 14, 2), (6, 6, 9)), ((side * (x + 2), back + 19, 15), (5.5, 4, 5)))  # upper facet
         add(((side * (x + 1), back + 17, -2), (5.5, 5, 8)), ((side * (x - 2), back + 23, -19), (5.5, 4, 6)))  # lower
         add(((side * (x - 1), back + 17, -2), (4, 4, 9)), ((side * 1.5, back + 27, -7), (3.5, 4, 9)))  # lamina
-        add(((side * (x + 3), back + 11, 4), (5, 4, 5)), ((side * (x + 25), back + 17, 6), (4, 3, 5)))  # transverse
+        add(((side * (x + 3), back + 11, 4), (5, 4, 5)), ((side * (x + 24), back + 17, 7), (2.5, 2, 3.5)))  # transverse
     add(((0, back + 27, -7), (3.2, 5, 8.5)), ((0, back + 50, -13), (3.8, 5, 9)))  # spinous process
     return solids.union(parts)
 
@@ -141,8 +141,8 @@ def _vertebral_body(anatomy: Anatomy, shrink: float) -> Mesh:
     # The canal's side is flat to hollow.
     outline[:, 1] -= 0.22 * np.clip(outline[:, 1], 0.0, None) ** 3 * (1.0 - outline[:, 0] ** 2) ** 2
     # Fractions of the half height, of the width, and the rings of the end plates, from the rim inwards.
-    heights = np.array([-1.0, -0.95, -0.6, -0.2, 0.2, 0.6, 0.95, 1.0])
-    widths = np.array([0.95, 1.0, 0.92, 0.88, 0.88, 0.92, 1.0, 0.95])
+    heights = np.array([-1.0, -0.93, -0.6, -0.2, 0.2, 0.6, 0.93, 1.0])
+    widths = np.array([0.92, 0.99, 0.95, 0.91, 0.91, 0.95, 0.99, 0.92])
     plate = [(0.6, 0.93), (0.3, 0.9)]
     z = np.concatenate([[-h for _, h in reversed(plate)], heights, [h for _, h in plate]]) * (height - shrink)
     w = np.concatenate([[w for w, _ in reversed(plate)], widths, [w for w, _ in plate]])

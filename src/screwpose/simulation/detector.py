@@ -30,11 +30,12 @@ class Detector:
         not depend on how thick the patient is. Air then counts a hundred times more.
     electronic_noise : standard deviation in quanta.
     bits : 8, or 9 to 16 (stored in 16, scaled so that white is 2^bits - 1).
-    display : ``linear`` is a film-like curve (grey rises as a power of the signal and bends towards white), ``log`` is
-        linear in the logarithm between black and white.
+    display : how greys follow from the signal. ``power``: as a power of it while it is small, bending towards white;
+        ``log``: linear in its logarithm up to the reference, then bending towards white. Both keep open air, hundreds
+        of times brighter than tissue, apart from metal that stands in it.
     reference_grey : what the reference signal becomes, 0 black to 1 white.
-    gamma : of the ``linear`` display.
-    log_decades : of the ``log`` display, from black to white.
+    gamma : of the ``power`` display.
+    log_decades : of the ``log`` display: decades of signal for the way from black to white, at the reference's slope.
     metal_dark : False inverts the greys.
     field_radius_px : radius of an image intensifier's round field about the image's centre; None for a flat panel.
     """
@@ -48,9 +49,9 @@ class Detector:
     counts_per_px: float = 1500.0
     electronic_noise: float = 4.0
     bits: int = 8
-    display: Literal["linear", "log"] = "linear"
+    display: Literal["power", "log"] = "log"
     reference_grey: float = 0.45
-    gamma: float = 0.7
+    gamma: float = 0.6
     log_decades: float = 2.2
     metal_dark: bool = True
     field_radius_px: float | None = None
@@ -111,10 +112,13 @@ def noisy(signal: FloatArray, detector: Detector, rng: np.random.Generator) -> F
 def displayed(signal: FloatArray, detector: Detector) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Grey values of a signal that is 1 at the reference."""
     if detector.display == "log":
-        decades = np.log10(np.maximum(signal, _LEAST_SIGNAL))
-        grey = np.clip(detector.reference_grey + decades / detector.log_decades, 0.0, 1.0)
+        rise = np.log10(np.maximum(signal, _LEAST_SIGNAL)) / detector.log_decades
+        room = 1.0 - detector.reference_grey
+        above = room * -np.expm1(-np.maximum(rise, 0.0) / room)  # the same slope at the reference
+        grey = np.clip(detector.reference_grey + np.minimum(rise, 0.0) + above, 0.0, 1.0)
     else:
-        grey = 1.0 - (1.0 - detector.reference_grey) ** (np.maximum(signal, 0.0) ** detector.gamma)
+        power = np.maximum(signal, 0.0) ** detector.gamma
+        grey = power / (power + 1.0 / detector.reference_grey - 1.0)
     if not detector.metal_dark:
         grey = 1.0 - grey
     if detector.field_radius_px is not None:
@@ -123,7 +127,8 @@ def displayed(signal: FloatArray, detector: Detector) -> NDArray[np.uint8] | NDA
         radius = np.hypot(u - (columns - 1) / 2, v - (rows - 1) / 2)
         grey *= np.clip(detector.field_radius_px + 0.5 - radius, 0.0, 1.0)  # one pixel of transition, black outside
     white = 2**detector.bits - 1
-    return np.round(grey * white).astype(np.uint8 if detector.bits == 8 else np.uint16)
+    rounded: FloatArray = np.round(grey * white)
+    return rounded.astype(np.uint8) if detector.bits == 8 else rounded.astype(np.uint16)
 
 
 def _blurred(image: FloatArray, sigma_px: float) -> FloatArray:

@@ -26,8 +26,8 @@ class Material:
     attenuation_per_mm: FloatArray
 
 
-# Total mass attenuation with coherent scattering, cm^2/g at ENERGIES_KEV: xraylib 4.3 (Schoonjans et al. 2011), equal to
-# the NIST tables (Hubbell & Seltzer, NISTIR 5632) in the three digits that were compared. Tissues: NIST's compounds.
+# Total mass attenuation with coherent scattering, cm^2/g at ENERGIES_KEV: xraylib 4.3 (Schoonjans et al. 2011), which
+# has the values of NIST (Hubbell & Seltzer, NISTIR 5632). Tissues are NIST's compounds of those names.
 _MASS_ATTENUATION_CM2_PER_G: dict[str, tuple[float, ...]] = {
     "adipose": (0.3028, 0.2386, 0.2122, 0.1977, 0.1806, 0.1695),
     "muscle": (0.3794, 0.2689, 0.2263, 0.2048, 0.1822, 0.1692),
@@ -76,7 +76,8 @@ MATERIALS = {
 @cache
 def _spectrum(peak_kv: float, filter_mm_al: float, scintillator_mm: float) -> tuple[float, ...]:
     energy = np.arange(_BIN_EDGES_KEV[0] + 0.5, _BIN_EDGES_KEV[-1], 1.0)
-    al_per_mm = 0.27 * np.exp(np.interp(np.log(energy), *np.log([ENERGIES_KEV, _MASS_ATTENUATION_CM2_PER_G["Al"]])))
+    log_al = np.log(np.array(_MASS_ATTENUATION_CM2_PER_G["Al"]))
+    al_per_mm = 0.27 * np.exp(np.interp(np.log(energy), np.log(ENERGIES_KEV), log_al))
     photons = np.maximum(peak_kv / energy - 1.0, 0.0) * np.exp(-al_per_mm * filter_mm_al)
     csi_per_mm = 0.451 * np.array(_MASS_ATTENUATION_CM2_PER_G["CsI"])
     absorbed = 1.0 - np.exp(-csi_per_mm * scintillator_mm)

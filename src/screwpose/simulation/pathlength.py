@@ -125,8 +125,8 @@ def _project(projection: FloatArray, triangles: FloatArray) -> tuple[FloatArray,
     if not (depth > 0).all():
         count = int(np.count_nonzero(~(depth > 0).all(axis=1)))
         raise BehindSourceError(
-            f"{count} of {len(depth)} faces reach to a depth of {np.nanmin(depth):.4g} mm: they are not in front of the "
-            "X-ray source. Move the body, or cut it off before the source."
+            f"{count} of {len(depth)} faces reach to a depth of {np.nanmin(depth):.4g} mm: they are not in front of "
+            "the X-ray source. Move the body, or cut it off before the source."
         )
     return a / depth, b / depth, depth
 
@@ -244,7 +244,8 @@ def _spans(pieces: _Pieces, part: slice, columns: int) -> _Spans:
 
 def _add_hits(total: FloatArray, spans: _Spans, part: slice, columns: int) -> None:
     """Add the signed (depth + mark) of a part of the spans to the samples' sums (rows * columns)."""
-    row, first, length, q, q_slope, sign = (values[part] for values in spans)
+    row, first, length = spans.row[part], spans.first[part], spans.length[part]
+    q, q_slope, sign = spans.q[part], spans.q_slope[part], spans.sign[part]
     offset = np.cumsum(length) - length
     hit = np.arange(int(length.sum()))
     # One repeat each for the place and for the line q + slope * (column - first), signs folded in.
@@ -270,7 +271,7 @@ def distance_per_depth(projection: FloatArray, first_row: int, first_column: int
     x = first_column + np.arange(shape[1])
     y = (first_row + np.arange(shape[0]))[:, None]
     squared = (G[0, 0] * x + 2 * G[0, 2]) * x + (G[1, 1] * y + 2 * G[1, 2]) * y + (2 * G[0, 1] * y) * x + G[2, 2]
-    return np.sqrt(squared)
+    return np.asarray(np.sqrt(squared))
 
 
 def _require_closed(depth_sums: FloatArray, samples: FloatArray) -> None:

@@ -135,11 +135,11 @@ def random_detector(rng: np.random.Generator, image_size: tuple[int, int]) -> De
         blur_px=rng.uniform(0.6, 1.1) * scale,
         scatter_fraction=rng.uniform(0.15, 0.4),
         scatter_sigma_px=rng.uniform(45.0, 80.0) * scale,
-        counts_per_px=rng.uniform(600.0, 3000.0) / scale**2,
-        display="log" if rng.random() < 0.4 else "linear",
-        reference_grey=rng.uniform(0.38, 0.52),
-        gamma=rng.uniform(0.6, 0.9),
-        log_decades=rng.uniform(2.0, 2.6),
+        counts_per_px=rng.uniform(400.0, 2000.0) / scale**2,
+        display="log" if rng.random() < 0.5 else "power",
+        reference_grey=rng.uniform(0.45, 0.58),
+        gamma=rng.uniform(0.55, 0.8),
+        log_decades=rng.uniform(1.7, 2.2),
         field_radius_px=0.5 * min(image_size) - 6.0 * scale if is_round else None,
     )
 
@@ -296,8 +296,9 @@ def _overlap(camera: Camera, implants: tuple[Implant, Implant], poses: tuple[Flo
         )
         image[patch.window] = patch.samples_mm > 0.0
         silhouettes.append(image)
-    both = np.count_nonzero(silhouettes[0] & silhouettes[1])
-    return both / max(min(np.count_nonzero(image) for image in silhouettes), 1)
+    first, second = silhouettes
+    smaller = min(int(first.sum()), int(second.sum()))
+    return int((first & second).sum()) / max(smaller, 1)
 
 
 def _marked(

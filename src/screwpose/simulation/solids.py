@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from screwpose._types import FloatArray, IntArray
 from screwpose.errors import MeshError
@@ -41,19 +42,21 @@ def lofted(rings_mm: FloatArray, bottom_mm: FloatArray, top_mm: FloatArray) -> M
 
 
 def superellipse(half_x_mm: float, half_y_mm: float, exponent: float = 2.0, corners: int = 48) -> FloatArray:
-    """``|x / a|^n + |y / b|^n = 1`` as (N, 2) corners, counter-clockwise: an ellipse at 2, a box for large exponents."""
+    """``|x / a|^n + |y / b|^n = 1`` as (N, 2) corners, counter-clockwise: an ellipse at 2, then more and more a box."""
     angle = 2.0 * np.pi * np.arange(corners) / corners
     c, s = np.cos(angle), np.sin(angle)
     power = 2.0 / exponent
     return np.column_stack([half_x_mm * np.sign(c) * np.abs(c) ** power, half_y_mm * np.sign(s) * np.abs(s) ** power])
 
 
-def blob(*ellipsoids: tuple[Sequence[float], Sequence[float]], segments: int = 20) -> "Manifold":
+def blob(*ellipsoids: tuple[ArrayLike, ArrayLike], segments: int = 20) -> "Manifold":
     """The convex hull of ellipsoids, each given by its centre (3,) and its half axes (3,), mm."""
     import manifold3d
 
     unit = manifold3d.Manifold.sphere(1.0, segments)
-    return manifold3d.Manifold.batch_hull([unit.scale(tuple(half)).translate(tuple(at)) for at, half in ellipsoids])
+    return manifold3d.Manifold.batch_hull(
+        [unit.scale(np.asarray(half)).translate(np.asarray(at)) for at, half in ellipsoids]
+    )
 
 
 def union(solids: Sequence["Manifold"]) -> "Manifold":

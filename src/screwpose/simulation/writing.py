@@ -48,12 +48,23 @@ def case_file(simulated: SimulatedCase) -> CaseFile:
         format="screwpose-case/1",
         id=simulated.id,
         views={
-            name: ViewFile(image=f"{name.lower()}.png", projection=as_matrix3x4(view.camera.projection))
+            name: ViewFile(
+                image=f"{name.lower()}.png",
+                projection=as_matrix3x4(view.camera.projection),
+                polarity="metal-dark",
+                mask=None,
+                target=None,
+            )
             for name, view in simulated.views.items()
         },
         models={
             name: ModelFile(
-                mesh=f"models/{name}.stl", tip=as_point3(implant.tip_mm), center=as_point3(implant.center_mm)
+                mesh=f"models/{name}.stl",
+                unit="mm",
+                tip=as_point3(implant.tip_mm),
+                center=as_point3(implant.center_mm),
+                parts=None,
+                pivot=None,
             )
             for name, implant in simulated.implants.items()
         },
@@ -78,7 +89,9 @@ def truth_file(simulated: SimulatedCase) -> TruthFile:
         format="screwpose-truth/1",
         case=simulated.id,
         screws=tuple(
-            TruthScrew(labels=dict(screw.labels), model=screw.model, world_from_cad=as_pose(screw.world_from_cad))
+            TruthScrew(
+                labels=dict(screw.labels), model=screw.model, world_from_cad=as_pose(screw.world_from_cad), parts=None
+            )
             for screw in simulated.screws
         ),
     )

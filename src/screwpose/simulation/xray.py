@@ -175,10 +175,12 @@ def _grain(shape: tuple[int, ...], grain_px: float, rng: np.random.Generator) ->
     """A random field (rows, columns) of mean 0 and variance 1, with grains of a size in px and twice that."""
     import cv2
 
-    white = rng.standard_normal(shape)
-    fine = cv2.GaussianBlur(white, (0, 0), max(0.4 * grain_px, 0.3))
-    coarse = cv2.GaussianBlur(white, (0, 0), max(0.8 * grain_px, 0.3))
-    grain = fine + 2.0 * coarse
+    # Drawn no finer than the grain needs, and enlarged.
+    step = max(1, int(0.3 * grain_px))
+    white = rng.standard_normal((shape[0] // step + 2, shape[1] // step + 2), dtype=np.float32)
+    fine = cv2.GaussianBlur(white, (0, 0), max(0.4 * grain_px / step, 0.3))
+    grain = fine + 2.0 * cv2.GaussianBlur(white, (0, 0), max(0.8 * grain_px / step, 0.3))
+    grain = cv2.resize(grain, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC).astype(np.float64)
     return np.asarray((grain - grain.mean()) / max(float(grain.std()), 1e-12), dtype=np.float64)
 
 
