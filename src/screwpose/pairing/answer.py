@@ -1,0 +1,185 @@
+"""From scored combinations to the answer: statuses, warnings, and the result file's keys."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from screwpose import __version__
+from screwpose.files.case import Case
+from screwpose.files.result import CombinationScene, PosedImplant, Result
+from screwpose.files.schema import (
+    ChosenBy,
+    CombinationFile,
+    PairingFile,
+    ResultFile,
+    Scores,
+    ScrewResultFile,
+    ScrewScores,
+    Software,
+    StageScores,
+    ViewScores,
+    as_point3,
+    as_pose,
+)
+from screwpose.geometry import rigid
+from screwpose.pairing.confidence import Confidence
+from screwpose.pairing.evidence import Evidence, Poses, score_each
+from screwpose.pairing.hypotheses import Combination
+from screwpose.pairing.landmark_fit import landmark_offsets_px
+from screwpose.pairing.segment import LandmarkNoise
+from screwpose.registration import SearchResult
+from screwpose.similarity import SceneScore
+
+# Below the first a screw hardly covers metal in some view and someone should look; below the second it covers none.
+_CHECK_DICE = 0.4
+_FAILED_DICE = 0.1
+# A registered model this many sigma from a mark has left its landmark (or the landmark was wrong).
+_FAR_MARK_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One combination through the paper's steps; what was not registered has no `found` and no `post`."""
+
+    combination: Combination
+    probability: float
+    placed: Poses
+    pre: SceneScore
+    found: SearchResult | None = None
+    post: SceneScore | None = None
+
+
+def refused(case: Case, reasons: Sequence[str], timing_s: dict[str, float]) -> Result:
+    """The result where there is no answer: no screws, and the reasons."""
+    unpaired = {view: tuple(mark.label for mark in marks) for view, marks in case.annotations.items()}
+    answer = ResultFile(
+        format="screwpose-result/1",
+        case=case.id,
+        software=Software(name="screwpose", version=__version__),
+        status="refused",
+        pairing=PairingFile(status="refused", pairs=(), unpaired=unpaired),
+        combinations=(),
+        screws=(),
+        warnings=(*case.warnings, *reasons),
+        timing_s=timing_s,
+    )
+    return Result(answer, ())
+
+
+def answered(
+    case: Case,
+    evidence: Evidence,
+    trials: Sequence[Trial],
+    confidence: Confidence,
+    noise: LandmarkNoise,
+    warnings: Sequence[str],
+    timing_s: dict[str, float],
+) -> Result:
+    """The result whose first trial is the method's choice."""
+    numbered = tuple(enumerate(trials, start=1))
+    screws, doubts = _screws(case, evidence, trials[0], noise)
+    status = "ambiguous" if confidence.status == "confident" and doubts else confidence.status
+    unpaired = trials[0].combination.unpaired
+    alone = [f"{view} {label} has no partner" for view, labels in unpaired.items() for label in labels]
+    answer = ResultFile(
+        format="screwpose-result/1",
+        case=case.id,
+        software=Software(name="screwpose", version=__version__),
+        status=status,
+        pairing=PairingFile(
+            status=confidence.status,
+            probability=confidence.probability,
+            pairs=_pairs(trials[0].combination),
+            unpaired=dict(unpaired),
+            chosen_by=ChosenBy(
+                pre=max(numbered, key=lambda one: one[1].pre.dice)[0],
+                post=max(
+                    ((number, trial.post.dice) for number, trial in numbered if trial.post is not None),
+                    key=lambda one: one[1],
+                    default=(None, 0.0),
+                )[0],
+            ),
+        ),
+        combinations=tuple(
+            CombinationFile(
+                id=number,
+                pairs=_pairs(trial.combination),
+                probability=trial.probability,
+                pre=_stage(trial.pre),
+                post=None if trial.post is None else _stage(trial.post),
+            )
+            for number, trial in numbered
+        ),
+        screws=screws,
+        warnings=(*case.warnings, *warnings, *confidence.reasons, *doubts, *alone),
+        timing_s=timing_s,
+    )
+    scenes = tuple(
+        CombinationScene(
+            number,
+            _posed(trial.combination, trial.placed),
+            () if trial.found is None else _posed(trial.combination, trial.found.world_from_cad),
+        )
+        for number, trial in numbered
+    )
+    return Result(answer, scenes)
+
+
+def _screws(
+    case: Case, evidence: Evidence, trial: Trial, noise: LandmarkNoise
+) -> tuple[tuple[ScrewResultFile, ...], list[str]]:
+    """Each screw's pose and status, and in words why one is in doubt."""
+    combination = trial.combination
+    poses = trial.placed if trial.found is None else trial.found.world_from_cad
+    pre = score_each(evidence, combination, trial.placed)
+    post = score_each(evidence, combination, poses)
+    screws, doubts = [], []
+    for index, (hypothesis, pose) in enumerate(zip(combination.hypotheses, poses, strict=True)):
+        implant = evidence.implants[hypothesis.model]
+        name = " = ".join(f"{view} {label}" for view, label in hypothesis.labels)
+        words = []
+        worst_view = min(post[index].views, key=lambda view, i=index: post[i].views[view].dice)  # type: ignore[misc]
+        worst_dice = post[index].views[worst_view].dice
+        if worst_dice < _CHECK_DICE:
+            words.append(f"it covers little metal in {worst_view} (Dice {worst_dice:.2f})")
+        if trial.found is not None and trial.found.at_bound[index]:
+            words.append("the search ended near its bounds: the landmarks started it too far off")
+        for view, offsets in landmark_offsets_px(case, implant, hypothesis.by_view, pose).items():
+            far_px = float(np.abs(offsets).max())
+            if far_px > _FAR_MARK_SIGMAS * noise.sigma_px:
+                words.append(f"the registered model is {far_px:.0f} px from its landmarks in {view}")
+        doubts += [f"screw {name}: {word}" for word in words]
+        screws.append(
+            ScrewResultFile(
+                labels=hypothesis.by_view,
+                model=hypothesis.model,
+                status="failed" if worst_dice < _FAILED_DICE else "check" if words else "ok",
+                world_from_cad=as_pose(pose),
+                tip=as_point3(rigid.transform(pose, implant.tip_mm)),
+                center=as_point3(rigid.transform(pose, implant.center_mm)),
+                axis=as_point3(pose[:3, :3] @ implant.axis),
+                scores=ScrewScores(pre=_scores(pre[index]), post=_scores(post[index])),
+            )
+        )
+    return tuple(screws), doubts
+
+
+def _pairs(combination: Combination) -> tuple[dict[str, str], ...]:
+    return tuple(hypothesis.by_view for hypothesis in combination.hypotheses)
+
+
+def _posed(combination: Combination, poses: Poses) -> tuple[PosedImplant, ...]:
+    return tuple(
+        PosedImplant(hypothesis.by_view, hypothesis.model, pose)
+        for hypothesis, pose in zip(combination.hypotheses, poses, strict=True)
+    )
+
+
+def _scores(score: SceneScore) -> Scores:
+    return Scores(dice=score.dice, loss=score.loss)
+
+
+def _stage(score: SceneScore) -> StageScores:
+    views = {name: ViewScores(dice=view.dice, loss=view.loss) for name, view in score.views.items()}
+    return StageScores(dice=score.dice, loss=score.loss, views=views)

@@ -1,0 +1,168 @@
+"""The whole job: from a case to its result."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Literal
+
+from screwpose.files.case import Case
+from screwpose.files.findings import errors_in, warnings_in
+from screwpose.files.result import Result
+from screwpose.pairing.answer import Trial, answered, refused
+from screwpose.pairing.confidence import judge, probabilities
+from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
+from screwpose.pairing.hypotheses import Combination, Hypothesis, combinations
+from screwpose.pairing.plausibility import check_plausibility
+from screwpose.pairing.segment import LandmarkNoise
+from screwpose.registration import Progress, SearchOptions
+
+Method = Literal["default", "paper"]
+"""How the pairing is decided: `default` by the landmarks' chi-square, `paper` by the Dice score after registration."""
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """What can be chosen; the defaults suit two screws on a laptop.
+
+    Parameters
+    ----------
+    method : how the pairing is decided.
+    noise : how exactly the landmarks were marked.
+    faces : triangles that a model is reduced to for the searches; None for the CAD as it is.
+    combinations : at most so many are placed and scored.
+    registered : at most so many of them are registered; all, where there are no more than 3 screws.
+    search : bounds, budget and seed of the registration.
+    """
+
+    method: Method = "default"
+    noise: LandmarkNoise = field(default_factory=LandmarkNoise)
+    faces: int | None = 1000
+    combinations: int = 6
+    registered: int = 2
+    search: SearchOptions = field(default_factory=SearchOptions)
+
+
+def solve(case: Case, options: SolveOptions | None = None, progress: Progress | None = None) -> Result:
+    """Pair and register the screws of a case.
+
+    Parameters
+    ----------
+    progress : called as ``progress(fraction, what)`` many times a second; raise CancelledError in it to stop.
+
+    Returns
+    -------
+    The result, whose status is `refused`, with the reasons, where the landmarks, matrices and models contradict each
+    other: it is then no answer, and nothing was registered.
+
+    Raises
+    ------
+    BehindSourceError
+        A model, laid on its landmarks, reaches behind an X-ray source.
+
+    References
+    ----------
+    arXiv 2511.05702, for the steps; the choice of `default` and the confidence of both methods are ours.
+    """
+    options = options or SolveOptions()
+    tell = progress or _tell_nobody
+    clock = _Clock()
+
+    tell(0.0, "checking the landmarks")
+    findings = check_plausibility(case, options.noise)
+    ranked = combinations(case, options.noise, options.combinations)
+    if errors_in(findings) or not ranked:
+        reasons = [finding.within_file() for finding in findings] or ["no two marks can be one screw"]
+        return refused(case, reasons, clock.read("pairing"))
+
+    evidence = _silhouettes_of_the_paper(case, options)
+    placed = _placed(evidence, ranked, _within(tell, 0.02, 0.15))
+    evidence = with_metal(evidence, case, list(zip(ranked, placed, strict=True)))
+    trials = [
+        Trial(combination, float(probability), poses, score(evidence, combination, poses))
+        for combination, poses, probability in zip(ranked, placed, probabilities(ranked), strict=True)
+    ]
+    clock.lap("pairing")
+
+    trials = _registered(evidence, trials, options, _within(tell, 0.2, 0.97))
+    clock.lap("registration")
+
+    tell(0.97, "judging")
+    trials = sorted(trials, key=_ORDERS[options.method])
+    confidence = judge([trial.combination for trial in trials], 0)
+    warnings = [finding.within_file() for finding in warnings_in(findings)]
+    if warnings and confidence.status == "confident":
+        confidence = replace(confidence, status="ambiguous")
+    result = answered(case, evidence, trials, confidence, options.noise, warnings, clock.read("judging"))
+    tell(1.0, "solved")
+    return result
+
+
+def _silhouettes_of_the_paper(case: Case, options: SolveOptions) -> Evidence:
+    from screwpose.projection import opencv
+
+    return gather(case, options.faces, opencv.silhouette)
+
+
+def _placed(evidence: Evidence, ranked: list[Combination], tell: Progress) -> list[Poses]:
+    """Each combination's models on their landmarks; a pair that stands in several combinations is placed once."""
+    poses: dict[Hypothesis, Poses] = {}
+    different = list(dict.fromkeys(hypothesis for one in ranked for hypothesis in one.hypotheses))
+    for index, hypothesis in enumerate(different):
+        tell(index / len(different), f"placing screw {index + 1} of {len(different)} candidates")
+        poses[hypothesis] = (place(evidence, hypothesis),)
+    return [tuple(poses[hypothesis][0] for hypothesis in one.hypotheses) for one in ranked]
+
+
+def _registered(evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress) -> list[Trial]:
+    """The trials, the most promising of them registered."""
+    few = all(len(trial.combination.hypotheses) <= 3 for trial in trials)
+    count = len(trials) if few else min(options.registered, len(trials))
+    promising = sorted(trials, key=_PROMISING[options.method])[:count]
+    done = []
+    for index, trial in enumerate(promising):
+        within = _within(tell, index / count, (index + 1) / count, f"registering combination {index + 1} of {count}: ")
+        found = refine(evidence, trial.combination, trial.placed, options.search, within)
+        post = score(evidence, trial.combination, found.world_from_cad)
+        done.append(replace(trial, found=found, post=post))
+    return done + [trial for trial in trials if trial not in promising]
+
+
+def _by_chi_square(trial: Trial) -> tuple[bool, float]:
+    return trial.post is None, trial.combination.chi_square
+
+
+def _by_dice_after(trial: Trial) -> tuple[bool, float]:
+    return trial.post is None, -(trial.pre if trial.post is None else trial.post).dice
+
+
+_ORDERS: dict[Method, Callable[[Trial], tuple[bool, float]]] = {"default": _by_chi_square, "paper": _by_dice_after}
+_PROMISING: dict[Method, Callable[[Trial], float]] = {
+    "default": lambda trial: trial.combination.chi_square,
+    "paper": lambda trial: -trial.pre.dice,
+}
+
+
+class _Clock:
+    """Seconds spent in each step."""
+
+    def __init__(self) -> None:
+        self._start = self._last = perf_counter()
+        self._laps: dict[str, float] = {}
+
+    def lap(self, step: str) -> None:
+        now = perf_counter()
+        self._laps[step] = now - self._last
+        self._last = now
+
+    def read(self, last_step: str) -> dict[str, float]:
+        self.lap(last_step)
+        return {**self._laps, "total": self._last - self._start}
+
+
+def _within(tell: Progress, first: float, last: float, prefix: str = "") -> Progress:
+    """A progress that fills a part of another."""
+    return lambda fraction, what: tell(first + (last - first) * fraction, prefix + what)
+
+
+def _tell_nobody(_fraction: float, _what: str) -> None:
+    pass
