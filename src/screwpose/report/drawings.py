@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from screwpose.files.case import Case
 from screwpose.files.result import PosedImplant, Result
 from screwpose.report.comparison import Comparison
-from screwpose.report.overlays import Box, crop_around
+from screwpose.report.overlays import Box, crop_around, whole_image
 from screwpose.report.palette import Palette
 from screwpose.report.shadows import Shadow, cast_shadows
 from screwpose.report.tables import chosen_combination
@@ -27,7 +27,7 @@ class Drawings:
     left_out : how many scored ones are not drawn.
     shadows : by (combination, stage, view).
     truth : the true implants' shadows by view, where the truth is known.
-    crops : by view, the part that holds all that matters: the landmarks and the chosen (else the drawn) implants.
+    crops : by view, the part that holds the landmarks and the chosen (else the drawn) implants; without any, all of it.
     """
 
     combinations: tuple[int, ...]
@@ -63,7 +63,8 @@ def draw(case: Case, result: Result, palette: Palette, comparison: Comparison | 
             if view_name == name and (chosen_id is None or number == chosen_id)
             for one in cast
         ]
-        crops[name] = crop_around(view, decisive, case.annotations.get(name, ()))
+        clicks = case.annotations.get(name, ())
+        crops[name] = crop_around(view, decisive, clicks) if decisive else whole_image(view)
     return Drawings(
         tuple(scene.id for scene in scenes), chosen_id, len(result.scenes) - len(scenes), shadows, truth, crops
     )

@@ -69,7 +69,7 @@ def report_html(
         table=combination_table([answer], None if true_pairs is None else {answer.case: true_pairs}).without("set"),
         screws=[_screw(index, one, case, drawings, palette) for index, one in enumerate(answer.screws)],
         space=space,
-        space_data=None if space is None else page_data(space, case.views),
+        space_data=None if space is None else page_data(space, case.views, drawings.crops),
         still=None if space is None else _data_uri("image/png", encode_png(still_picture(space))),
         # Ours, not the case's: taken as they are.
         style=Markup((assets / "report.css").read_text(encoding="utf-8")),

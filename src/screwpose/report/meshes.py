@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from screwpose._types import FloatArray
+from screwpose.errors import OutputError
 from screwpose.files.schema import ScrewResultFile
 from screwpose.implants.mesh import transformed, write_stl
 from screwpose.implants.model import Implant, Mesh
@@ -50,9 +51,24 @@ def write_meshes(folder: Path, screws: Sequence[ScrewResultFile], implants: Mapp
     )
     paths = [folder / "meshes" / f"{name}.stl" for name in names]
     for path, screw in zip(paths, screws, strict=True):
-        path.parent.mkdir(exist_ok=True)
+        make_folder(path.parent)
         write_stl(placed_mesh(implants[screw.model], screw), path)
     return paths
+
+
+def make_folder(path: Path) -> Path:
+    """A folder inside the output; there already is fine.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: the folder cannot be made ({error.strerror}).") from error
+    return path
 
 
 def safe_name(text: str) -> str:

@@ -35,7 +35,7 @@ _DPI = 100
 _SHOWN_SIDE_PX = 1000  # smaller pictures are enlarged by whole numbers until lines and labels read well beside them
 _MARGIN_OF_CROP = 0.12
 _SMALLEST_CROP_PX = 32
-_FONT = "DejaVu Sans"  # comes with matplotlib
+FONT = "DejaVu Sans"  # comes with matplotlib
 
 
 @dataclass(frozen=True)
@@ -167,9 +167,9 @@ def combination_figure(
         for axes, stage in zip(row, stages, strict=True):
             _draw(axes, grey, shadows.get((stage, name), ()), clicks.get(name, ()), frozenset(LAYERS), crops[name])
             title = f"{name}, {stage}: {_scores_text(combination.pre if stage == 'pre' else combination.post, name)}"
-            axes.set_title(printable(title), fontsize=10, fontfamily=_FONT, parse_math=False)
+            axes.set_title(printable(title), fontsize=10, fontfamily=FONT, parse_math=False)
     heading = f"Combination {combination.id}: {verdict}\n{pairs_text(combination.pairs)}"
-    figure.suptitle(printable(heading), fontsize=12, fontfamily=_FONT, parse_math=False)
+    figure.suptitle(printable(heading), fontsize=12, fontfamily=FONT, parse_math=False)
     _legend(figure)
     return figure_pixels(figure)
 
@@ -178,7 +178,7 @@ def printable(text: str) -> str:
     """The text with the characters that the font does not have as question marks: a label may be in any script."""
     from matplotlib import font_manager
 
-    known = font_manager.get_font(font_manager.findfont(_FONT)).get_charmap()
+    known = font_manager.get_font(font_manager.findfont(FONT)).get_charmap()
     return "".join(letter if ord(letter) in known or letter == "\n" else "?" for letter in text)
 
 
@@ -217,10 +217,11 @@ def _draw_shadow(axes: "Axes", shadow: Shadow, layers: frozenset[str]) -> None:
     if shadow.outlines:
         # Holes turn the other way round, so that the one path leaves them open.
         path = Curve.make_compound_path(*(Curve(np.vstack([line, line[:1]]), closed=True) for line in shadow.outlines))
+        # add_artist, not add_patch: the latter measures every curve for limits that are set anyway.
         if "fill" in layers:
-            axes.add_patch(PathPatch(path, facecolor=shadow.ink.rgb, edgecolor="none", alpha=FILL_OPACITY))
+            axes.add_artist(PathPatch(path, facecolor=shadow.ink.rgb, edgecolor="none", alpha=FILL_OPACITY))
         if "outline" in layers:
-            axes.add_patch(
+            axes.add_artist(
                 PathPatch(path, facecolor="none", edgecolor=shadow.ink.rgb, linewidth=1.1, linestyle=shadow.ink.dash)
             )
     if "landmarks" in layers and shadow.tip_px is not None and shadow.center_px is not None:
@@ -254,7 +255,7 @@ def _draw_label(axes: "Axes", click: Annotation, box: Box) -> None:
         color="white",
         fontsize=11,
         fontweight="bold",
-        fontfamily=_FONT,
+        fontfamily=FONT,
         ha="left" if aside > 0 else "right",
         va="center",
         path_effects=_halo(2.5),

@@ -16,6 +16,7 @@ from screwpose.implants.model import Mesh
 from screwpose.report.comparison import Comparison
 from screwpose.report.drawings import Drawings, stages_of
 from screwpose.report.meshes import placed_pieces
+from screwpose.report.overlays import Box
 from screwpose.report.palette import Ink, Palette, screw_name
 
 # Enough for the eye; the files in meshes/ are the models as given.
@@ -99,8 +100,10 @@ def arrange(
     return Space(models, scenes, truth, first, center, radius, up, direction)
 
 
-def page_data(space: Space, views: Mapping[str, View]) -> dict[str, Any]:
+def page_data(space: Space, views: Mapping[str, View], crops: Mapping[str, Box]) -> dict[str, Any]:
     """The JSON that the viewer script reads; images are left to the page, which holds them already."""
+    right = _unit(np.cross(space.up, space.direction))
+    screen_up = np.cross(space.direction, right)
     return {
         "models": {
             key: {
@@ -111,9 +114,10 @@ def page_data(space: Space, views: Mapping[str, View]) -> dict[str, Any]:
         },
         "scenes": {key: [_item_data(item) for item in items] for key, items in space.scenes.items()},
         "truth": [_item_data(item) for item in space.truth],
-        "views": [_view_data(name, view, space) for name, view in views.items()],
+        "views": [_view_data(name, view, space, crops[name]) for name, view in views.items()],
         "focus": {"center": _rounded(space.center), "radius": round(space.radius, 4)},
-        "axes_origin": _rounded(space.center - space.radius * 0.9 * _unit(space.up + space.direction * 0.3)),
+        # At the lower left of the first look, before the image planes.
+        "axes_origin": _rounded(space.center + space.radius * (0.5 * space.direction - 0.65 * screen_up - 0.8 * right)),
         "up": _rounded(space.up),
         "direction": _rounded(space.direction),
         "first": space.first,
@@ -165,19 +169,23 @@ def _image_up(camera: Camera, point_in_world_mm: FloatArray) -> FloatArray:
     return _unit(rays[1] - rays[0] * (rays[1] @ rays[0]))
 
 
-def _view_data(name: str, view: View, space: Space) -> dict[str, Any]:
+def _view_data(name: str, view: View, space: Space, crop: Box) -> dict[str, Any]:
+    """A view's source, and the part of its image that the overlays show, laid on a plane in space."""
     camera, (width, height) = view.camera, view.radiograph.size
     # A matrix does not say where the detector is: any plane of constant depth shows the image in true perspective.
     # The one just behind the implants is the easiest to read.
     depth = float(camera.depth_mm(space.center)[0]) + space.radius * 1.1
-    corners_px = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
-    rays = camera.ray_directions_in_world(corners_px)
+    left, top, right, bottom = crop.left - 0.5, crop.top - 0.5, crop.right + 0.5, crop.bottom + 0.5
+    rays = camera.ray_directions_in_world(np.array([[left, top], [right, top], [right, bottom], [left, bottom]]))
     scale = depth / (rays @ camera.viewing_axis_in_world)
     corners = camera.center_in_world_mm + rays * scale[:, None]
+    u0, u1, v0, v1 = (left + 0.5) / width, (right + 0.5) / width, (top + 0.5) / height, (bottom + 0.5) / height
     return {
         "name": name,
         "source": _rounded(camera.center_in_world_mm),
         "corners": [_rounded(corner) for corner in corners],
+        # Texture coordinates count from the lower left of the image.
+        "texture": [[u0, 1 - v0], [u1, 1 - v0], [u1, 1 - v1], [u0, 1 - v1]],
         "up": _rounded(_image_up(camera, space.center)),
     }
 

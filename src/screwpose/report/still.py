@@ -5,41 +5,52 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from screwpose.report.overlays import RgbArray, figure_pixels
+from screwpose._types import FloatArray
+from screwpose.report.overlays import FONT, RgbArray, figure_pixels, printable
 from screwpose.report.space import Item, Space, placed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_STILL_SIZE_PX = (900, 620)
+_WIDTH_INCHES = 9.0
 _LIGHT = np.array([-0.35, 0.55, 0.75])  # right, up, towards the eye
+_BACKGROUND = "#20262c"  # as the 3D view's
+_MARGIN = 0.06
+_LABEL_ROOM = 0.25  # beside the picture's content, as a share of its width
 
 
 def still_picture(space: Space) -> RgbArray:
-    """The first scene from the first view point, for where the 3D view cannot be drawn: paper, or no WebGL."""
+    """The first scene from the first view point, orthographic, with the screws' names."""
     from matplotlib.figure import Figure
 
-    width, height = _STILL_SIZE_PX
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
-    axes = figure.add_axes((0, 0, 1, 1))
+    right = np.cross(space.up, space.direction)
+    right /= np.linalg.norm(right)
+    screen_from_world = np.stack([right, np.cross(space.direction, right), space.direction])
     items = space.scenes[space.first] if space.first else ()
-    _paint(axes, items, space)
-    span = space.radius * 1.1 * max(width / height, 1.0)
-    axes.set_xlim(-span, span)
-    axes.set_ylim(-span * height / width, span * height / width)
+    triangles, shades = _shaded_faces(items, space, screen_from_world)
+    low, high = triangles[:, :, :2].min(axis=(0, 1)), triangles[:, :, :2].max(axis=(0, 1))
+    margin = _MARGIN * float((high - low).max())
+    low, high = low - margin, high + margin
+    high[0] += _LABEL_ROOM * (high - low)[0]
+    width, height = high - low
+    figure = Figure(figsize=(_WIDTH_INCHES, min(_WIDTH_INCHES * height / width, _WIDTH_INCHES)), dpi=100)
+    figure.set_facecolor(_BACKGROUND)
+    axes = figure.add_axes((0, 0, 1, 1))
+    _paint(axes, triangles, shades)
+    for item in items:
+        u, v, _ = screen_from_world @ (item.far_end - space.center)
+        axes.text(
+            u, v, printable(item.name), color=item.ink.rgb, fontfamily=FONT, fontsize=11, va="center", parse_math=False
+        )
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")
     axes.set_axis_off()
     return figure_pixels(figure)
 
 
-def _paint(axes: "Axes", items: Sequence[Item], space: Space) -> None:
-    """Orthographic, faces sorted by depth and shaded by one light from the upper left."""
-    from matplotlib.collections import PolyCollection
-
-    right = np.cross(space.up, space.direction)
-    right /= np.linalg.norm(right)
-    screen_up = np.cross(space.direction, right)
-    screen_from_world = np.stack([right, screen_up, space.direction])
+def _shaded_faces(items: Sequence[Item], space: Space, screen_from_world: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Triangles (F, 3, 3) in screen axes (right, up, towards the eye), mm, and their colours (F, 3)."""
     corners, colors = [], []
     for item in items:
         for piece in item.pieces:
@@ -50,9 +61,15 @@ def _paint(axes: "Axes", items: Sequence[Item], space: Space) -> None:
             light = 0.45 + 0.55 * np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
             corners.append(triangles)
             colors.append(light[:, None] * np.array(item.ink.rgb))
-    triangles, shades = np.vstack(corners), np.vstack(colors)
+    return np.vstack(corners), np.vstack(colors)
+
+
+def _paint(axes: "Axes", triangles: FloatArray, shades: FloatArray) -> None:
+    """The painter's way: the farthest faces first."""
+    from matplotlib.collections import PolyCollection
+
     order = np.argsort(triangles[:, :, 2].mean(axis=1))
-    faces = PolyCollection(
-        list(triangles[order, :, :2]), facecolors=shades[order], edgecolors=shades[order], linewidths=0.3
+    outlines = list(triangles[order, :, :2])
+    axes.add_collection(
+        PolyCollection(outlines, facecolors=shades[order], edgecolors=shades[order], linewidths=0.3), autolim=False
     )
-    axes.add_collection(faces)

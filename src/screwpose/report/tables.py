@@ -78,7 +78,7 @@ class Table:
 
     def to_markdown(self) -> str:
         """A pipe table; rows that stand out are bold."""
-        titles = [f"{column.group} {column.title.lower()}" if column.group else column.title for column in self.columns]
+        titles = [f"{column.group} {column.title}" if column.group else column.title for column in self.columns]
         lines = [
             f"| {' | '.join(_escaped(title) for title in titles)} |",
             f"| {' | '.join('---:' if column.is_number else ':---' for column in self.columns)} |",
@@ -144,7 +144,7 @@ def combination_table(answers: Sequence[ResultFile], true_pairs: Mapping[str, Pa
     if has_probability:
         columns.append(Column("probability", "Probability"))
     for stage, group in (("pre", "Pre"), ("post", "Post")):
-        columns += [Column(f"{stage}_dice", "Dice", group), Column(f"{stage}_loss", "Mean loss", group)]
+        columns += [Column(f"{stage}_dice", "Dice", group), Column(f"{stage}_loss", "mean loss", group)]
         columns += [Column(f"{stage}_loss_{view}", f"{view} loss", group) for view in views]
     rows: list[tuple[Value, ...]] = []
     emphasis = set()

@@ -11,7 +11,7 @@ from screwpose.images.encoding import encode_png
 from screwpose.report.comparison import Comparison
 from screwpose.report.drawings import Drawings, draw
 from screwpose.report.html import report_html
-from screwpose.report.meshes import unique_names, write_meshes
+from screwpose.report.meshes import make_folder, unique_names, write_meshes
 from screwpose.report.overlays import combination_figure, overlay_of_shadows
 from screwpose.report.palette import Palette
 from screwpose.report.space import arrange
@@ -74,8 +74,7 @@ def _tell_nobody(_fraction: float, _what: str) -> None:
 def _write_overlays(
     folder: Path, case: Case, result: Result, drawings: Drawings, comparison: Comparison | None
 ) -> list[Path]:
-    place = folder / "overlays"
-    place.mkdir(exist_ok=True)
+    place = make_folder(folder / "overlays")
     names = dict(zip(case.views, unique_names(list(case.views)), strict=True))
     paths = []
     for (number, stage, view), shadows in drawings.shadows.items():

@@ -55,7 +55,7 @@ function textSprite(text, color, heightMm) {
 function imagePlane(view, redraw) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(new Float32Array(view.corners.flat()), 3));
-  geometry.setAttribute("uv", new BufferAttribute(new Float32Array([0, 1, 1, 1, 1, 0, 0, 0]), 2));
+  geometry.setAttribute("uv", new BufferAttribute(new Float32Array(view.texture.flat()), 2));
   geometry.setIndex([0, 2, 1, 0, 3, 2]);
   const texture = new Texture();
   texture.colorSpace = SRGBColorSpace;
@@ -168,6 +168,9 @@ export function mount(element, data) {
   canvas.addEventListener("blur", () => { controls.noZoom = true; });
   canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
 
+  let framing = reset; // repeated when the element changes its shape, until the reader moves the view
+  controls.addEventListener("start", () => { framing = null; });
+
   function lookFrom(position, up) {
     controls.target.copy(target);
     camera.position.copy(position);
@@ -178,6 +181,7 @@ export function mount(element, data) {
   }
 
   function reset() {
+    framing = reset;
     camera.fov = FIELD_OF_VIEW_DEG;
     camera.updateProjectionMatrix();
     const half = (FIELD_OF_VIEW_DEG * Math.PI) / 360;
@@ -187,6 +191,7 @@ export function mount(element, data) {
 
   // From the source itself the implants cover their own shadows: the eye sees how well a pose fits.
   function seenFrom(index) {
+    framing = () => seenFrom(index);
     const view = data.views[index];
     const source = vector(view.source);
     const half = Math.asin(Math.min(0.9, radius / source.distanceTo(target)));
@@ -196,6 +201,7 @@ export function mount(element, data) {
   }
 
   function turn(rightRad, upRad) {
+    framing = null;
     const offset = camera.position.clone().sub(controls.target);
     const sideways = new Vector3().crossVectors(camera.up, offset).normalize();
     const rotation = new Quaternion().setFromAxisAngle(camera.up.clone().normalize(), rightRad)
@@ -208,6 +214,7 @@ export function mount(element, data) {
   }
 
   function zoom(factor) {
+    framing = null;
     camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
     redraw();
   }
@@ -245,12 +252,12 @@ export function mount(element, data) {
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
     controls.handleResize();
+    if (framing) framing();
     redraw();
   }
 
   new ResizeObserver(resize).observe(element);
   resize();
-  reset();
   Object.entries(shown).forEach(([name, visible]) => setLayer(name, visible));
   renderer.setAnimationLoop(() => {
     controls.update();
