@@ -38,22 +38,22 @@ class Anatomy:
     disc_height : between them.
     pedicle_x : of the pedicles' axes, from the middle plane.
     cortex : thickness of the cortical shell.
-    lordosis_radius : of the curve on which the bodies stand, its centre behind the patient.
+    lordosis_radius : of the curve on which the bodies stand, its centre behind the patient; the torso bends with it.
     half_width, front, back : of the torso, from the origin.
     fat : thickness of the layer under the skin.
     gas_bubbles : how many in the bowel.
     """
 
-    body_half_width: float = 23.0
-    body_half_depth: float = 17.0
-    body_height: float = 27.0
+    body_half_width: float = 24.0
+    body_half_depth: float = 17.5
+    body_height: float = 28.0
     disc_height: float = 10.0
     pedicle_x: float = 15.0
     cortex: float = 1.0
-    lordosis_radius: float = 320.0
+    lordosis_radius: float = 450.0
     half_width: float = 165.0
     front: float = 125.0
-    back: float = 85.0
+    back: float = 98.0
     fat: float = 18.0
     gas_bubbles: int = 6
 
@@ -66,18 +66,19 @@ class Anatomy:
 def random_anatomy(rng: np.random.Generator, pedicle_x: float) -> Anatomy:
     """A patient between small and stout."""
     size = rng.uniform(0.92, 1.08)
+    fat = rng.uniform(6.0, 24.0)
     return Anatomy(
-        body_half_width=max(23.0 * size, pedicle_x + 5.0),
-        body_half_depth=17.0 * size,
-        body_height=27.0 * size,
+        body_half_width=max(24.0 * size, pedicle_x + 5.0),
+        body_half_depth=17.5 * size,
+        body_height=28.0 * size,
         disc_height=rng.uniform(7.0, 12.0),
         pedicle_x=pedicle_x,
         cortex=rng.uniform(0.7, 1.3),
-        lordosis_radius=rng.uniform(260.0, 600.0),
+        lordosis_radius=rng.uniform(330.0, 900.0),
         half_width=rng.uniform(145.0, 180.0),
         front=rng.uniform(95.0, 140.0),
-        back=rng.uniform(72.0, 95.0),
-        fat=rng.uniform(8.0, 28.0),
+        back=78.0 * size + fat + rng.uniform(0.0, 8.0),
+        fat=fat,
         gas_bubbles=int(rng.integers(0, 10)),
     )
 
@@ -103,7 +104,7 @@ def _spine(anatomy: Anatomy, rng: np.random.Generator, levels: range) -> list[Bo
     bodies = []
     for level in levels:
         # Vertebrae grow downwards, and no two are alike.
-        growth = (1.0 - 0.02 * level) * np.append(rng.uniform(0.98, 1.02, 2), 1.0)
+        growth = np.append(rng.uniform(0.98, 1.02, 2) * [1.0 - 0.02 * level, 1.0 - 0.01 * level], 1.0)
         pose = world_from_level(anatomy, level)
         for mesh, material, replaces, texture in (
             (outer, CORTICAL_BONE, MUSCLE, 0.05),
@@ -130,7 +131,7 @@ def _vertebra(anatomy: Anatomy, shrink: float) -> "Manifold":
         add(((side * (x + 1), back + 17, -2), (5.5, 5, 8)), ((side * (x - 2), back + 23, -19), (5.5, 4, 6)))  # lower
         add(((side * (x - 1), back + 17, -2), (4, 4, 9)), ((side * 1.5, back + 27, -7), (3.5, 4, 9)))  # lamina
         add(((side * (x + 3), back + 11, 4), (5, 4, 5)), ((side * (x + 24), back + 17, 7), (2.5, 2, 3.5)))  # transverse
-    add(((0, back + 27, -7), (3.2, 5, 8.5)), ((0, back + 50, -13), (3.8, 5, 9)))  # spinous process
+    add(((0, back + 27, -7), (3.2, 5, 8.5)), ((0, back + 46, -13), (3.8, 5, 9)))  # spinous process
     return solids.union(parts)
 
 
@@ -168,56 +169,61 @@ def _torso(anatomy: Anatomy, rng: np.random.Generator) -> list[Body]:
     """Skin and fat, the muscular trunk in it, the belly in that, and gas in the bowel."""
     depth, middle = 0.5 * (anatomy.front + anatomy.back), 0.5 * (anatomy.back - anatomy.front)
     trunk_half = np.array([anatomy.half_width, depth]) - anatomy.fat
+    trunk = _tube(trunk_half, middle, 2.3, 290.0, anatomy.lordosis_radius, rng)
     belly_back = -anatomy.body_half_depth - 8.0
-    belly_front = middle - trunk_half[1] + 10.0
-    belly_half = (trunk_half[0] - 14.0, 0.5 * (belly_back - belly_front))
+    belly_front = middle - trunk_half[1]
+    belly_half = np.array([trunk_half[0], 0.5 * (belly_back - belly_front)])
     belly_y = 0.5 * (belly_back + belly_front)
+    # The wall of the belly is what is left of the trunk around it.
+    wall = 1.0 - 12.0 / trunk_half
+    inside = (trunk.vertices_mm - [0.0, middle, 0.0]) * [wall[0], wall[1], 0.98] + [0.0, middle, 0.0]
+    belly = solids.solid(_tube(belly_half, belly_y, 2.2, 280.0, anatomy.lordosis_radius, rng)) ^ solids.solid(
+        replace(trunk, vertices_mm=inside)
+    )
+    skin = _tube(np.array([anatomy.half_width, depth]), middle, 2.4, 300.0, anatomy.lordosis_radius, rng)
     bodies = [
-        Body(
-            _tube((anatomy.half_width, depth), middle, 2.4, 300.0, rng), FAT, sharp=False, texture=0.004, texture_mm=9
-        ),
-        Body(_tube(trunk_half, middle, 2.3, 290.0, rng), MUSCLE, FAT, sharp=False, texture=0.012, texture_mm=6),
-        Body(_tube(belly_half, belly_y, 2.2, 280.0, rng), VISCERA, MUSCLE, sharp=False, texture=0.03, texture_mm=14),
+        Body(skin, FAT, sharp=False, texture=0.004, texture_mm=9),
+        Body(trunk, MUSCLE, FAT, sharp=False, texture=0.012, texture_mm=6),
+        Body(solids.mesh(belly), VISCERA, MUSCLE, sharp=False, texture=0.03, texture_mm=14),
     ]
     if anatomy.gas_bubbles:
-        bodies.append(Body(_bowel_gas(anatomy, belly_half, belly_y, rng), GAS, VISCERA, sharp=False))
+        gas = _bowel_gas(anatomy, belly_half, belly_y, rng) ^ belly
+        bodies.append(Body(solids.mesh(gas), GAS, VISCERA, sharp=False))
     return bodies
 
 
 def _tube(
-    half_mm: tuple[float, float] | FloatArray, y_mm: float, exponent: float, reach_mm: float, rng: np.random.Generator
+    half_mm: FloatArray,
+    y_mm: float,
+    exponent: float,
+    reach_mm: float,
+    lordosis_radius_mm: float,
+    rng: np.random.Generator,
 ) -> Mesh:
     """A piece of torso: superelliptic, its girth changing a little along z, cut off well outside the field of view."""
-    z = np.linspace(-reach_mm, reach_mm, 9)
+    z = np.linspace(-reach_mm, reach_mm, 15)
     girth = 1.0 - 0.02 * np.cos(np.pi * (z / 200.0 + rng.uniform(-0.2, 0.2)))
     outline = solids.superellipse(float(half_mm[0]), float(half_mm[1]), exponent, corners=96)
     rings = np.concatenate(
         [outline[None] * girth[:, None, None], np.broadcast_to(z[:, None, None], (len(z), len(outline), 1))], axis=2
     )
-    rings[:, :, 1] += y_mm
-    return solids.lofted(rings, np.array([0.0, y_mm, z[0]]), np.array([0.0, y_mm, z[-1]]))
+    # Near the middle the curve of the spine, z^2 / 2R; further out it straightens.
+    middle = y_mm + np.sin(np.pi * z / 600.0) ** 2 / (2.0 * lordosis_radius_mm * (np.pi / 600.0) ** 2)
+    rings[:, :, 1] += middle[:, None]
+    return solids.lofted(rings, np.array([0.0, middle[0], z[0]]), np.array([0.0, middle[-1], z[-1]]))
 
 
-def _bowel_gas(
-    anatomy: Anatomy, belly_half: tuple[float, float] | FloatArray, belly_y: float, rng: np.random.Generator
-) -> Mesh:
+def _bowel_gas(anatomy: Anatomy, belly_half: FloatArray, belly_y: float, rng: np.random.Generator) -> "Manifold":
     """Bubbles of 1 to 3 cm in short chains, as gas lies in a loop of bowel."""
     bubbles = []
     for _ in range(anatomy.gas_bubbles):
-        at = np.array([rng.uniform(-0.6, 0.6) * belly_half[0], belly_y + rng.uniform(-0.4, 0.3) * belly_half[1], 0.0])
-        at[2] = rng.uniform(-110.0, 110.0)
+        at = np.append(rng.uniform([-0.6, -0.4], [0.6, 0.3]) * belly_half + [0.0, belly_y], rng.uniform(-110.0, 110.0))
         course = rng.normal(size=3) * [1.0, 0.3, 1.0]
         for _ in range(int(rng.integers(1, 5))):
-            # Kept within the belly, whatever the course: the gas replaces what is there.
-            at = np.clip(
-                at,
-                [-0.65 * belly_half[0], belly_y - 0.45 * belly_half[1], -200],
-                [0.65 * belly_half[0], belly_y + 0.4 * belly_half[1], 200],
-            )
             half = rng.uniform(0.5, 1.0) * np.array([14.0, 9.0, 14.0]) * min(1.0, belly_half[1] / 40.0)
             bubbles.append(solids.blob((at, half)))
             at = at + 13.0 * course / np.linalg.norm(course) + rng.normal(size=3) * 3.0
-    return solids.mesh(solids.union(bubbles))
+    return solids.union(bubbles)
 
 
 def carved(tissues: list[Body], metal: Mesh, world_from_metal: FloatArray) -> list[Body]:

@@ -52,3 +52,13 @@ def carm_camera(
     center_px = (np.array(carm.image_size) - 1.0) / 2.0 + np.array(principal_offset_px)
     K = np.array([[focal_px, 0.0, center_px[0]], [0.0, focal_px, center_px[1]], [0.0, 0.0, 1.0]])
     return Camera.from_matrix(K @ np.column_stack([rotation, -rotation @ source]), carm.image_size)
+
+
+def resized(camera: Camera, image_size: tuple[int, int]) -> Camera:
+    """The same view with other pixels on the same detector; (width, height) in px."""
+    assert camera.image_size is not None
+    (width, height), (new_width, new_height) = camera.image_size, image_size
+    kx, ky = new_width / width, new_height / height
+    # Borders stay borders: u = -0.5 and u = W - 0.5, as integer pixels are centres.
+    new_from_old = np.array([[kx, 0.0, 0.5 * (kx - 1.0)], [0.0, ky, 0.5 * (ky - 1.0)], [0.0, 0.0, 1.0]])
+    return Camera(new_from_old @ camera.projection, image_size)

@@ -76,7 +76,9 @@ def reference_signal(signal: FloatArray, transmission: FloatArray) -> float:
     v, u = np.ogrid[:rows, :columns]
     middle = (u - (columns - 1) / 2) ** 2 + (v - (rows - 1) / 2) ** 2 < (0.35 * min(rows, columns)) ** 2
     seen = middle & (transmission < 0.3)
-    return float(np.median(signal[seen] if seen.any() else signal[middle]))
+    # Some metal in open air is no patient: then the air is the reference.
+    is_patient = np.count_nonzero(seen) > 0.25 * np.count_nonzero(middle)
+    return float(np.median(signal[seen if is_patient else middle]))
 
 
 def expected_signal(transmission: FloatArray, detector: Detector, fall_off: FloatArray) -> FloatArray:

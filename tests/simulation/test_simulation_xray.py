@@ -1,0 +1,288 @@
+"""Attenuation, detector and geometry against closed forms."""
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import screwpose.simulation
+from screwpose._types import FloatArray
+from screwpose.geometry.camera import Camera
+from screwpose.implants.model import Mesh
+from screwpose.simulation import CArm, Detector, carm_camera, render, transmission
+from screwpose.simulation.anatomy import carved
+from screwpose.simulation.detector import displayed, expected_signal, noisy
+from screwpose.simulation.materials import (
+    ENERGIES_KEV,
+    GAS,
+    MATERIALS,
+    MUSCLE,
+    TITANIUM,
+    detector_spectrum,
+    material,
+)
+from screwpose.simulation.xray import Body
+
+SIZE = (200, 160)
+CARM = CArm(pixel_mm=1.5, image_size=SIZE)
+AP = carm_camera(CARM, np.zeros(3), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]))
+LAT = carm_camera(CARM, np.zeros(3), np.array([1.0, 0.1, 0.05]), np.array([0.0, 0.02, -1.0]), (3.0, -2.0))
+
+
+def box(size_mm: tuple[float, float, float], at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
+    made = trimesh.creation.box(size_mm)
+    return Mesh(np.asarray(made.vertices) + at_mm, np.asarray(made.faces, dtype=np.int64))
+
+
+def sphere(radius_mm: float) -> Mesh:
+    made = trimesh.creation.icosphere(subdivisions=3, radius=radius_mm)
+    return Mesh(np.asarray(made.vertices), np.asarray(made.faces, dtype=np.int64))
+
+
+def behind(*layers: tuple[str, float]) -> float:
+    """What comes through layers (material, mm) at 90 kV: the law of Beer and Lambert, energy by energy."""
+    integral = sum(MATERIALS[name].attenuation_per_mm * length for name, length in layers)
+    return float(detector_spectrum(90.0) @ np.exp(-integral))
+
+
+def centroid(weights: FloatArray) -> FloatArray:
+    """(u, v) of the centre of gravity, integer pixel centres."""
+    v, u = np.indices(weights.shape)
+    return np.array([(u * weights).sum(), (v * weights).sum()]) / weights.sum()
+
+
+def test_simulator_shares_nothing_with_the_solver():
+    folder = Path(screwpose.simulation.__file__).parent
+    solver = ("projection", "similarity", "registration", "pairing", "solve")
+    imported = set()
+    for path in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                imported.update(f"{node.module}.{name.name}" for name in node.names)
+            elif isinstance(node, ast.Import):
+                imported.update(name.name for name in node.names)
+    assert any(name.startswith("screwpose.geometry") for name in imported)  # the search can find
+    assert not [name for name in imported if name.startswith(tuple(f"screwpose.{part}" for part in solver))]
+
+
+def test_public_names_are_there():
+    for name in screwpose.simulation.__all__:
+        assert getattr(screwpose.simulation, name).__class__ is not None
+
+
+def test_carm_camera_puts_isocenter_and_source_where_asked():
+    np.testing.assert_allclose(AP.project(np.zeros(3)), [99.5, 79.5], atol=1e-10)  # the centre of 200 x 160 pixels
+    np.testing.assert_allclose(LAT.project(np.zeros(3)), [102.5, 77.5], atol=1e-10)
+    np.testing.assert_allclose(AP.center_in_world_mm, [0.0, -650.0, 0.0], atol=1e-9)
+    # Seen from the front: the patient's left (x) is right in the image, the head (z) is up; magnified 1000 / 650.
+    step_px = 10.0 * (1000.0 / 650.0) / 1.5
+    np.testing.assert_allclose(AP.project(np.array([10.0, 0.0, 0.0])), [99.5 + step_px, 79.5], atol=1e-9)
+    np.testing.assert_allclose(AP.project(np.array([0.0, 0.0, 10.0])), [99.5, 79.5 - step_px], atol=1e-9)
+    assert AP.is_right_handed
+    assert LAT.is_right_handed
+
+
+@pytest.mark.parametrize("camera", [AP, LAT], ids=["AP", "LAT"])
+@pytest.mark.parametrize("at_mm", [(0.0, 0.0, 0.0), (31.3, -20.7, 24.9), (-40.2, 33.3, -30.1)])
+def test_a_small_ball_is_seen_where_the_projection_says(camera, at_mm):
+    """Catches a shift by half a pixel between P and the image: (0, 0) is the CENTRE of the top-left pixel."""
+    pose = np.eye(4)
+    pose[:3, 3] = at_mm
+    ball = Body(sphere(2.5), MATERIALS["steel"], world_from_body=pose)
+    detector = Detector(
+        image_size=SIZE, supersample=7, scatter_fraction=0.0, counts_per_px=1e9, electronic_noise=0.0, bits=16
+    )
+    seen = render(camera, [ball], detector, np.random.default_rng(1))
+    want = camera.project(np.array(at_mm))
+    assert np.linalg.norm(centroid(1.0 - seen.transmission) - want) < 0.03
+    # The beam falls off towards the corners: compare with what is beside the ball.
+    u, v = np.round(want).astype(int)
+    dark = np.median(seen.pixels[v - 8 : v + 9, u - 8 : u + 9]) - seen.pixels[v - 6 : v + 7, u - 6 : u + 7].astype(
+        float
+    )
+    assert np.linalg.norm(centroid(np.maximum(dark, 0.0)) + [u - 6, v - 6] - want) < 0.05
+
+
+def test_a_slab_obeys_beer_and_lambert():
+    slab = Body(box((900.0, 4.0, 900.0)), TITANIUM)
+    got = transmission(AP, [slab], SIZE)
+    cosine = AP.ray_directions_in_world(np.array([[20.0, 30.0]]))[0, 1]
+    # The mean over a pixel's rays is that of its middle but for curvature.
+    assert got[30, 20] == pytest.approx(behind(("titanium", 4.0 / cosine)), rel=1e-5)
+    assert 0.1 < got[30, 20] < 0.25
+
+
+def test_titanium_hardens_the_beam():
+    first, last = -np.log(behind(("titanium", 1.0))), -np.log(behind(("titanium", 20.0))) / 20.0
+    assert first > 1.8 * last > 0.3
+
+
+def test_rays_average_after_the_exponential():
+    """A wall covers the left third of a pixel's rays, another one the right third: no ray crosses both."""
+    v, u = 80, 100
+    # Far-away thin walls would need exact edges; a wall's edge planes pass the source, so it is cut sharply.
+    edges = [AP.ray_directions_in_world(np.array([[u + du, 79.5]]))[0] for du in (-1 / 6, 1 / 6)]
+    source = AP.center_in_world_mm
+
+    def wedge(left: FloatArray, right: FloatArray) -> Mesh:
+        corners = [
+            source + d / d[1] * y + [0.0, 0.0, z] for y in (640.0, 650.0) for z in (-60.0, 60.0) for d in (left, right)
+        ]
+        hull = trimesh.convex.convex_hull(np.array(corners))
+        return Mesh(np.asarray(hull.vertices), np.asarray(hull.faces, dtype=np.int64))
+
+    far_left, far_right = (AP.ray_directions_in_world(np.array([[u + du, 79.5]]))[0] for du in (-30.0, 30.0))
+    left, right = Body(wedge(far_left, edges[0]), TITANIUM), Body(wedge(edges[1], far_right), TITANIUM)
+    one, two = (transmission(AP, bodies, SIZE, 3)[v, u] for bodies in ([left], [left, right]))
+    full = transmission(AP, [left], SIZE, 3)[v, u - 5]
+    assert full == pytest.approx(behind(("titanium", 10.0)), rel=0.01)
+    assert one == pytest.approx((2.0 + full) / 3.0, rel=1e-3)
+    assert two == pytest.approx((1.0 + 2.0 * full) / 3.0, rel=1e-3)
+
+
+def test_metal_in_tissue_replaces_it():
+    tissue = [
+        Body(box((300.0, 100.0, 300.0)), MUSCLE, sharp=False),
+        Body(box((120.0, 40.0, 120.0)), MATERIALS["cortical bone"], MUSCLE, sharp=False),
+    ]
+    # 20 mm of metal: half of them in the bone, half in the muscle behind it.
+    metal = box((30.0, 20.0, 30.0), (0.0, 20.0, 0.0))
+    bodies = [*tissue, Body(metal, TITANIUM), *carved(tissue, metal, np.eye(4))]
+    got = transmission(AP, bodies, SIZE)[80, 100]
+    want = behind(("titanium", 20.0), ("muscle", 50.0), ("cortical bone", 30.0))
+    assert got == pytest.approx(want, rel=1e-4)
+    not_carved = transmission(AP, bodies[:3], SIZE)[80, 100]
+    assert not_carved < 0.8 * want
+
+
+def test_tissues_sampled_once_a_pixel_agree_with_full_sampling():
+    ball = Body(sphere(40.0), MUSCLE)
+    fine, coarse = (transmission(AP, [replace(ball, sharp=sharp)], SIZE, 5) for sharp in (True, False))
+    assert np.abs(fine - coarse).max() < 0.1  # at the rim, in open air
+    assert np.abs(fine - coarse).mean() < 5e-4
+    assert fine.min() < 0.25
+
+
+def test_texture_varies_the_path_about_its_mean():
+    slab = Body(box((900.0, 100.0, 900.0)), MUSCLE, sharp=False, texture=0.05, texture_mm=4.0)
+    plain = -np.log(transmission(AP, [slab], SIZE))
+    grainy = -np.log(transmission(AP, [slab], SIZE, rng=np.random.default_rng(3))) / plain - 1.0
+    assert abs(grainy.mean()) < 0.002
+    assert grainy.std() == pytest.approx(0.05, rel=0.05)
+    beside = np.mean(grainy[:, 1:] * grainy[:, :-1]) / grainy.var()
+    far = np.mean(grainy[:, 40:] * grainy[:, :-40]) / grainy.var()
+    assert beside > 0.7 > 0.2 > abs(far)
+
+
+def test_spectrum_ends_at_the_tube_voltage_and_hardens_with_it():
+    means = []
+    for peak_kv in (60.0, 80.0, 100.0, 120.0):
+        share = detector_spectrum(peak_kv)
+        assert share.sum() == pytest.approx(1.0)
+        assert not share[peak_kv + 15.0 < ENERGIES_KEV].any()
+        means.append(float(share @ ENERGIES_KEV))
+    assert np.all(np.diff(means) > 2.0)
+    assert 35.0 < means[0] < means[-1] < 70.0
+
+
+def test_materials_have_the_tables_attenuation():
+    """By hand from NIST's tables at 60 keV: 0.7660 cm^2/g x 4.51 g/cm^3 for titanium, 0.2048 x 1.04 for muscle."""
+    pure = material("titanium", 4.51, {"Ti": 1.0})
+    assert pure.attenuation_per_mm[3] == pytest.approx(0.34547, rel=1e-3)
+    assert MUSCLE.attenuation_per_mm[3] == pytest.approx(0.021299, rel=1e-3)
+    assert not GAS.attenuation_per_mm.any()
+
+
+def test_bad_values_are_refused():
+    with pytest.raises(ValueError, match=r"the mass fractions of alloy add up to 0\.9, expected 1"):
+        material("alloy", 4.4, {"Ti": 0.9})
+    with pytest.raises(ValueError, match="peak_kv 20: expected 50 to 125 kV"):
+        detector_spectrum(20.0)
+    with pytest.raises(ValueError, match="bits 7: expected 8 to 16"):
+        Detector(bits=7)
+    with pytest.raises(ValueError, match="scatter_fraction 1: expected 0 up to, not including, 1"):
+        Detector(scatter_fraction=1.0)
+    with pytest.raises(ValueError, match="reference_grey 1: expected between 0 and 1"):
+        Detector(reference_grey=1.0)
+
+
+def test_blur_has_the_sigma_asked_for():
+    point = np.full((81, 81), 1.0)
+    point[40, 40] = 0.0
+    even = np.ones_like(point)
+    detector = Detector(blur_px=1.7, scatter_fraction=0.0)
+    dip = 1.0 - expected_signal(point, detector, even)
+    v, u = np.indices(dip.shape)
+    assert dip.sum() == pytest.approx(1.0, rel=1e-6)
+    assert (dip * (u - 40) ** 2).sum() == pytest.approx(1.7**2, rel=0.02)
+    assert (dip * (v - 40) ** 2).sum() == pytest.approx(1.7**2, rel=0.02)
+
+
+def test_scatter_is_the_fraction_asked_for():
+    even = np.full((64, 96), 0.01)
+    signal = expected_signal(even, Detector(scatter_fraction=0.4), np.ones_like(even))
+    np.testing.assert_allclose(signal, 1.0 / 0.6, rtol=1e-6)  # in units of the primary at the reference
+    air = np.ones((64, 96))
+    np.testing.assert_allclose(expected_signal(air, Detector(scatter_fraction=0.4), air), 1.0, rtol=1e-6)
+
+
+def test_noise_is_poisson_and_electronic_and_white():
+    detector = Detector(counts_per_px=400.0, electronic_noise=30.0)
+    counts = 400.0 * noisy(np.full((400, 400), 2.0), detector, np.random.default_rng(8))
+    assert counts.mean() == pytest.approx(800.0, rel=0.002)
+    assert counts.var() == pytest.approx(800.0 + 30.0**2, rel=0.02)
+    excess = counts - counts.mean()
+    assert abs(np.mean(excess[:, 1:] * excess[:, :-1])) < 0.02 * counts.var()
+
+
+@pytest.mark.parametrize("display", ["log", "power"])
+def test_display_rises_from_metal_to_air(display):
+    detector = Detector(display=display, bits=12, reference_grey=0.5)
+    signal = np.array([[0.0, 0.05, 0.3, 1.0, 3.0, 30.0, 300.0]])
+    grey = displayed(signal, detector)
+    assert grey.dtype == np.uint16
+    assert grey[0, 3] == 2048
+    assert np.all(np.diff(grey[0, 1:].astype(int)) > 25)  # metal in open air (30) stays apart from it (300)
+    assert grey[0, -1] > 0.9 * 4095
+    inverted = displayed(signal, replace(detector, metal_dark=False))
+    assert np.abs(inverted.astype(int) + grey.astype(int) - 4095).max() <= 1
+
+
+def test_round_field_is_black_outside():
+    signal = np.ones((101, 121))
+    grey = displayed(signal, Detector(image_size=(121, 101), field_radius_px=40.0))
+    v, u = np.indices(signal.shape)
+    radius = np.hypot(u - 60, v - 50)
+    assert grey.dtype == np.uint8
+    assert not grey[radius > 40.6].any()
+    assert (grey[radius < 39.4] == round(0.45 * 255)).all()
+
+
+def test_the_beam_falls_off_with_the_cube_of_the_cosine():
+    detector = Detector(image_size=SIZE, counts_per_px=1e9, electronic_noise=0.0, bits=16, display="power", gamma=1.0)
+    seen = render(AP, [], detector, np.random.default_rng(0)).pixels / 65535.0
+    signal = seen / (1.0 - seen)
+    cosine = AP.ray_directions_in_world(np.array([[0.0, 0.0]]))[0, 1]
+    assert signal[0, 0] / signal[80, 100] == pytest.approx(cosine**3, rel=2e-3)
+    assert cosine**3 < 0.97
+
+
+def test_same_generator_same_bytes():
+    ball = Body(sphere(30.0), MUSCLE, sharp=False, texture=0.05)
+    first, again, other = (
+        render(AP, [ball], Detector(image_size=SIZE), np.random.default_rng(seed)).pixels for seed in (4, 4, 5)
+    )
+    assert first.tobytes() == again.tobytes()
+    assert np.mean(first != other) > 0.1
+
+
+def test_a_camera_without_skew_or_with():
+    """Any P, not only that of a C-arm: skewed pixels and all."""
+    skewed = Camera(np.array([[1.0, 0.1, -5.0], [0.0, 1.1, 2.0], [0.0, 0.0, 1.0]]) @ AP.projection)
+    pose = np.eye(4)
+    pose[:3, 3] = [12.0, 5.0, -9.0]
+    got = transmission(skewed, [Body(sphere(4.0), TITANIUM, world_from_body=pose)], SIZE)
+    assert np.linalg.norm(centroid(1.0 - got) - skewed.project(pose[:3, 3])) < 0.02
