@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from screwpose._types import BoolArray, ImageArray
 from screwpose.images.field import field_of_view
+from screwpose.images.preparation import carried_outwards
 
 PolarityName: TypeAlias = Literal["metal-dark", "metal-bright"]
 
@@ -99,7 +100,7 @@ def _content_score(grey: NDArray[Any], inside: BoolArray) -> float:
     saturated = np.mean(grey[inside] >= top - step) - np.mean(grey[inside] <= bottom + step)
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
     scaled = np.clip((smooth - low) / (high - low), 0.0, 1.0).astype(np.float32)
-    scaled = _continued(scaled, inside)
+    scaled = carried_outwards(scaled, inside)
     gradient = np.stack([cv2.Scharr(scaled, cv2.CV_32F, 1, 0), cv2.Scharr(scaled, cv2.CV_32F, 0, 1)]) / 32.0
     steepness = np.hypot(gradient[0], gradient[1]) * inside
     if not steepness.any():
@@ -110,18 +111,6 @@ def _content_score(grey: NDArray[Any], inside: BoolArray) -> float:
         + _WEIGHT_SATURATED * np.clip(20.0 * saturated, -1.0, 1.0)
         + _WEIGHT_FLAT * _flatter_bright_side(gradient, steepness, inside)
     )
-
-
-def _continued(grey: NDArray[Any], inside: BoolArray) -> NDArray[Any]:
-    """Carry the field's edge values outwards, so that the border itself is no structure."""
-    import cv2
-
-    _, labels = cv2.distanceTransformWithLabels(
-        (~inside).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    nearest = np.zeros(labels.max() + 1, dtype=grey.dtype)
-    nearest[labels[inside]] = grey[inside]
-    return np.where(inside, grey, nearest[labels])
 
 
 def _contrast(measure: Any, grey: NDArray[Any], inside: BoolArray, steepness: NDArray[Any]) -> float:

@@ -72,3 +72,23 @@ def flattened(pixels: ImageArray, region: BoolArray, sigma_px: float) -> ImageAr
     """Remove the slowly varying background: pixels minus `background`, and 0 outside the region."""
     flat = np.asarray(pixels, dtype=np.float32) - background(pixels, region, sigma_px)
     return np.where(region, flat, np.float32(0.0))
+
+
+def carried_outwards(pixels: ImageArray, region: BoolArray) -> ImageArray:
+    """Give each pixel outside the region the value of the nearest one inside, so that its edge is no structure.
+
+    Parameters
+    ----------
+    pixels : (rows, columns)
+    region : (rows, columns), not empty.
+    """
+    import cv2
+
+    if region.all():
+        return pixels
+    _, labels = cv2.distanceTransformWithLabels(
+        (~region).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    nearest = np.zeros(int(labels.max()) + 1, dtype=np.float32)
+    nearest[labels[region]] = pixels[region]
+    return np.where(region, pixels, nearest[labels]).astype(np.float32)

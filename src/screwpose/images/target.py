@@ -1,0 +1,247 @@
+"""Metal implants segmented from the image itself: the target of the Dice score.
+
+A grey level cannot tell metal: a tower over air is paler than a spine without any metal. What tells it is its outline:
+all round it the attenuation rises steeply. So the image is flattened by top-hats of several radii, each is cut at many
+levels, and of all the connected pieces that appear those are kept whose outlines are steep along most of their length.
+Of nested pieces the one (or the set) with the most steep outline wins, which gives each implant its own threshold: a
+pale tower and a dark shank stay one piece, a spur of bone that joins them at low levels does not.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from screwpose._types import BoolArray, ImageArray
+from screwpose.images.preparation import carried_outwards, log_image, smoothed
+
+# Lengths are for an image whose longer side is 1024 px, and grow with it.
+_WORKING_PX = 512  # longer side on which pieces are sought; outlines are refined on the full image
+_RADII_PX = (12.0, 30.0, 70.0)  # half widths that the top-hats keep: shank, tower, knee
+_LEVELS = 24
+_LARGEST_HOLE_PX2 = 24_000.0  # a tower's inside between its walls, seen from the side
+_LEAST_AREA_PX2 = 60.0
+_BAND_PX = 4.0
+_LOCAL_PX = 15.0
+
+# An outline counts where its steepness exceeds this share of what the steepest outlines of the image have.
+_STEEP_SHARE = 0.35
+_STEEP_CAP = 2.0  # beyond twice that, steeper is not better: else the dark shank alone would win over shank and tower
+_LEAST_GAIN_PX = 50.0  # steep outline that a piece must have, net of outline that is not
+_SEE_THROUGH = 0.25  # a hole paler than this share of the metal round it is one
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """A connected piece at some level: its gain, bounding box (left, top, width, height) and mask within that box."""
+
+    gain: float
+    box: tuple[int, int, int, int]
+    mask: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """One level of one top-hat: filled pieces as labels, and the pixels of their outlines (flat indices)."""
+
+    labels: NDArray[np.int32]
+    boxes: NDArray[np.int32]
+    outline: NDArray[np.int64]
+    outline_label: NDArray[np.int32]
+
+
+def metal_target(pixels: ImageArray, region: BoolArray, near: BoolArray | None = None) -> BoolArray:
+    """Segment the metal implants.
+
+    Parameters
+    ----------
+    pixels : (rows, columns), metal bright, in [0, 1].
+    region : (rows, columns), M_bg: what lies outside is never metal.
+    near : (rows, columns), where the implants in question are, generously, or None for everywhere. Other metal (table,
+        retractor, markers) does not set the scale of what is steep then, and pieces that lie mostly outside are left.
+
+    Returns
+    -------
+    (rows, columns). All false where no outline is steep enough.
+    """
+    wanted = region if near is None else region & near
+    if not wanted.any():
+        return np.zeros(region.shape, dtype=np.bool_)
+    window = _window(wanted, margin_px=round(_RADII_PX[-1] * _scale(pixels.shape)))
+    scale = _scale(pixels.shape)
+    attenuation = log_image(pixels)[window]
+    metal = _pieces_of_metal(attenuation, region[window], wanted[window], scale)
+    metal = _refined(smoothed(attenuation, 0.8 * scale), metal, region[window], scale)
+    result = np.zeros(region.shape, dtype=np.bool_)
+    result[window] = metal & wanted[window]
+    return result
+
+
+def _scale(shape: tuple[int, ...]) -> float:
+    return max(shape) / 1024.0
+
+
+def _window(wanted: BoolArray, margin_px: int) -> tuple[slice, slice]:
+    """Rows and columns that hold all of `wanted` and its surroundings."""
+    ends = []
+    for axis in (1, 0):
+        hit = np.flatnonzero(wanted.any(axis=axis))
+        ends.append(slice(max(0, int(hit[0]) - margin_px), int(hit[-1]) + 1 + margin_px))
+    return ends[0], ends[1]
+
+
+def _pieces_of_metal(attenuation: ImageArray, region: BoolArray, wanted: BoolArray, scale: float) -> BoolArray:
+    """The metal at working size, brought back to the size of `attenuation`."""
+    import cv2
+
+    factor = min(1.0, _WORKING_PX / (1024.0 * scale))
+    size = (max(8, round(region.shape[1] * factor)), max(8, round(region.shape[0] * factor)))
+    unit = factor * scale  # working pixels per pixel of a 1024 px image
+    small: ImageArray = np.asarray(cv2.resize(attenuation, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    inside = cv2.resize(region.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) != 0
+    sought = cv2.resize(wanted.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) != 0
+    small = smoothed(carried_outwards(small, inside), 0.8)
+    steepness = _steepness(small) * inside
+    families = [list(_cuts(hat, inside, unit)) for hat in _top_hats(small, unit)]
+    neutral = _STEEP_SHARE * _steepest_outlines(families, steepness, sought, unit)
+    metal = np.zeros(small.shape, dtype=np.bool_)
+    if neutral > 0:
+        gain = np.minimum(steepness / neutral, _STEEP_CAP) - 1.0
+        pieces = [piece for family in families for piece in _best_pieces(family, gain)]
+        _add_pieces(metal, pieces, sought, unit)
+    back = cv2.resize(metal.astype(np.float32), region.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(back > 0.5)
+
+
+def _steepness(image: NDArray[Any]) -> NDArray[Any]:
+    """Length of the gradient, its greatest within a pixel's neighbours: an outline need not hit it exactly."""
+    import cv2
+
+    along = [cv2.Scharr(image, cv2.CV_32F, 1, 0), cv2.Scharr(image, cv2.CV_32F, 0, 1)]
+    return np.asarray(cv2.dilate(np.hypot(along[0], along[1]) / 32.0, np.ones((3, 3), np.uint8)))
+
+
+def _top_hats(image: NDArray[Any], unit: float) -> Iterator[NDArray[Any]]:
+    import cv2
+
+    for radius in _RADII_PX:
+        size = 2 * max(1, round(radius * unit)) + 1
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+        yield np.asarray(image - cv2.morphologyEx(image, cv2.MORPH_OPEN, kernel))
+
+
+def _cuts(hat: NDArray[Any], inside: BoolArray, unit: float) -> Iterator[_Cut]:
+    """Cut a top-hat from its highest level to its lowest; small holes are filled."""
+    import cv2
+
+    top = float(np.percentile(hat[inside], 99.95))
+    if top <= 0:
+        return
+    largest_hole = _LARGEST_HOLE_PX2 * unit**2
+    cross = np.ones((3, 3), np.uint8)
+    for level in np.geomspace(0.97 * top, max(0.02, 0.05 * top), _LEVELS):
+        above = ((hat > level) & inside).astype(np.uint8)
+        _, gaps, gap_boxes, _ = cv2.connectedComponentsWithStats(1 - above, connectivity=4)
+        is_hole = gap_boxes[:, cv2.CC_STAT_AREA] <= largest_hole
+        is_hole &= ~_at_border(gaps, len(gap_boxes))
+        is_hole[0] = False
+        filled = above | is_hole[gaps].astype(np.uint8)
+        _, labels, boxes, _ = cv2.connectedComponentsWithStats(filled, connectivity=4)
+        outline = np.flatnonzero(filled != cv2.erode(filled, cross, borderValue=1))
+        yield _Cut(labels, boxes, outline, labels.ravel()[outline])
+
+
+def _at_border(labels: NDArray[Any], count: int) -> BoolArray:
+    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    found = np.zeros(count, dtype=np.bool_)
+    found[rim] = True
+    return found
+
+
+def _steepest_outlines(families: list[list[_Cut]], steepness: NDArray[Any], sought: BoolArray, unit: float) -> float:
+    """The mean steepness that the steepest twentieth of all outlines has, by length, of pieces that lie in `sought`."""
+    means, lengths = [np.zeros(0)], [np.zeros(0)]
+    for cut in (cut for family in families for cut in family):
+        count = len(cut.boxes)
+        length = np.bincount(cut.outline_label, minlength=count)
+        within = np.bincount(cut.outline_label, weights=sought.ravel()[cut.outline], minlength=count)
+        total = np.bincount(cut.outline_label, weights=steepness.ravel()[cut.outline], minlength=count)
+        counts = (length >= 60.0 * unit) & (within > 0.5 * length)
+        means.append(total[counts] / length[counts])
+        lengths.append(length[counts].astype(np.float64))
+    mean, weight = np.concatenate(means), np.concatenate(lengths)
+    if len(mean) == 0:
+        return 0.0
+    order = np.argsort(mean)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(mean[order][np.searchsorted(share, 0.95)])
+
+
+def _best_pieces(family: list[_Cut], gain: NDArray[Any]) -> list[_Piece]:
+    """Of nested pieces the set with the greatest gain: going down, a piece replaces those in it if it gains more."""
+    gain = gain.ravel()
+    pieces: list[_Piece] = []
+    anchors = np.zeros(0, dtype=np.int64)  # one outline pixel of each
+    for cut in family:
+        count = len(cut.boxes)
+        own = np.bincount(cut.outline_label, weights=gain[cut.outline], minlength=count)
+        parent = cut.labels.ravel()[anchors]
+        inner = np.bincount(parent, weights=[piece.gain for piece in pieces], minlength=count)
+        wins = own > np.maximum(inner, 0.0)
+        wins[0] = False
+        keep = ~wins[parent]
+        first = np.zeros(count, dtype=np.int64)
+        first[cut.outline_label[::-1]] = cut.outline[::-1]
+        winners = np.flatnonzero(wins)
+        pieces = [piece for piece, kept in zip(pieces, keep, strict=True) if kept]
+        pieces += [_cut_out(cut, int(label), float(own[label])) for label in winners]
+        anchors = np.concatenate([anchors[keep], first[winners]])
+    return pieces
+
+
+def _cut_out(cut: _Cut, label: int, gain: float) -> _Piece:
+    left, top, width, height = (int(value) for value in cut.boxes[label][:4])
+    return _Piece(gain, (left, top, width, height), cut.labels[top : top + height, left : left + width] == label)
+
+
+def _add_pieces(metal: BoolArray, pieces: list[_Piece], sought: BoolArray, unit: float) -> None:
+    """Add pieces, those of the greatest gain first; the radii find most of them more than once."""
+    for piece in sorted(pieces, key=lambda piece: -piece.gain):
+        area = int(piece.mask.sum())
+        if piece.gain < _LEAST_GAIN_PX * unit or area < _LEAST_AREA_PX2 * unit**2:
+            continue
+        left, top, width, height = piece.box
+        part = (slice(top, top + height), slice(left, left + width))
+        if (sought[part] & piece.mask).sum() >= 0.5 * area and (metal[part] & piece.mask).sum() < 0.3 * area:
+            metal[part] |= piece.mask
+
+
+def _refined(attenuation: ImageArray, metal: BoolArray, region: BoolArray, scale: float) -> BoolArray:
+    """Put the outline where the attenuation is half-way between metal and surroundings, each as it is near by."""
+    import cv2
+
+    size = 2 * max(1, round(_BAND_PX * scale)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    mask = metal.astype(np.uint8)
+    wide = cv2.dilate(mask, disc)
+    core = cv2.erode(mask, disc, borderValue=1)
+    inner, inner_weight = _local_mean(attenuation, core != 0, scale)
+    thin, thin_weight = _local_mean(attenuation, metal, scale)
+    inner = np.where(inner_weight > 0.02, inner, thin)
+    outer, outer_weight = _local_mean(attenuation, (wide == 0) & region, scale)
+    sure = (wide != 0) & (core == 0) & (thin_weight > 0) & (outer_weight > 0) & (inner > outer)
+    return np.where(sure, attenuation > 0.5 * (inner + outer), metal) & region
+
+
+def _local_mean(image: ImageArray, where: BoolArray, scale: float) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The mean of the pixels `where` in a square window, and the share of the window that they fill."""
+    import cv2
+
+    size = 2 * max(1, round(_LOCAL_PX * scale)) + 1
+    weight = where.astype(np.float32)
+    total = cv2.blur(image * weight, (size, size), borderType=cv2.BORDER_CONSTANT)
+    filled = cv2.blur(weight, (size, size), borderType=cv2.BORDER_CONSTANT)
+    filled = np.where(filled > 0.5 / size**2, filled, 0.0)
+    return total / np.maximum(filled, 1e-9), filled
