@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from screwpose._types import FloatArray, IntArray
+from screwpose.implants.mesh import face_volumes_mm3, signed_volume_mm3
 from screwpose.implants.model import Mesh
 
 SCREW_MM = (20.0, 250.0)  # a pedicle screw alone, up to one with an extension tower
@@ -69,7 +70,7 @@ def mesh_report(mesh: Mesh) -> MeshReport:
     return MeshReport(
         **facts,
         watertight=open_edges == 0 and crowded == 0,
-        volume_mm3=float(_volumes(mesh).sum()),
+        volume_mm3=signed_volume_mm3(mesh),
         extent_mm=(float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2])),
         length_mm=length,
         problems=(*_defects(facts), *scale_problems(length)),
@@ -132,16 +133,9 @@ def _bodies(faces: IntArray, count: int) -> IntArray:
     return np.unique(label, return_inverse=True)[1].astype(np.int64)
 
 
-def _volumes(mesh: Mesh) -> FloatArray:
-    """(F,): signed volume of the tetrahedra from the middle of the bounding box to each face."""
-    middle = 0.5 * (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0))
-    a, b, c = np.moveaxis(mesh.triangles_mm - middle, 1, 0)
-    return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
-
-
 def _inverted(mesh: Mesh, label: IntArray) -> int:
     """Count bodies of negative volume, save those whose box lies in that of another one: hollows."""
-    volume = np.bincount(label, weights=_volumes(mesh))
+    volume = np.bincount(label, weights=face_volumes_mm3(mesh))
     negative = np.flatnonzero(volume < 0.0)
     if not len(negative):
         return 0

@@ -126,9 +126,10 @@ def transformed(mesh: Mesh, target_from_source: FloatArray) -> Mesh:
 def reduced(mesh: Mesh, faces: int) -> Mesh:
     """Decimate by quadric edge collapse to at most ``faces`` triangles, for silhouettes and thickness.
 
-    The same input gives the same output. The result need not be watertight even where the input is, so a volume or a
-    boolean operation belongs to the full mesh. Where folds or separate shells stop the collapse early, the nearest
-    count that can be reached is returned. A mesh that is small enough is returned itself.
+    It goes in steps and stops where the next would spoil the shape (5 % of the volume, 2 % of the size): then it has
+    more faces than asked. The library behind it would go on: it took a third of the volume off a knee implant of 73,000
+    faces on the way to 2,000. The same input gives the same output. The result need not be watertight even where the
+    input is, so a boolean operation belongs to the full mesh. A mesh that is small enough is returned itself.
 
     Raises
     ------
@@ -141,19 +142,37 @@ def reduced(mesh: Mesh, faces: int) -> Mesh:
     """
     if faces < 4:
         raise ValueError(f"faces must be 4 or more, not {faces}")
-    if len(mesh.faces) <= faces:
-        return mesh
     import fast_simplification
 
-    vertices, triangles = mesh.vertices_mm, mesh.faces
-    origin = vertices.mean(axis=0)  # the collapse works in float32: keep the numbers small
-    for aggression in (3, 7, 11):
+    origin = mesh.vertices_mm.mean(axis=0)  # the collapse works in float32: keep the numbers small
+    volume, extent = signed_volume_mm3(mesh), np.ptp(mesh.vertices_mm, axis=0)
+    best = mesh
+    while len(best.faces) > faces:
         points, kept = fast_simplification.simplify(
-            (vertices - origin).astype(np.float32), triangles.astype(np.int32), target_count=faces, agg=aggression
+            (best.vertices_mm - origin).astype(np.float32),
+            best.faces.astype(np.int32),
+            target_count=max(faces, int(0.6 * len(best.faces))),
+            agg=5,  # 7, the default, makes spikes; 3 stops at once
         )
-        if len(kept) <= faces:
+        smaller = Mesh(np.asarray(points, dtype=np.float64) + origin, np.asarray(kept, dtype=np.int64))
+        change = np.abs(np.ptp(smaller.vertices_mm, axis=0) - extent).max()
+        spoilt = abs(signed_volume_mm3(smaller) - volume) > 0.05 * abs(volume) or change > 0.02 * extent.max()
+        if spoilt or len(smaller.faces) >= len(best.faces):
             break
-    return Mesh(np.asarray(points, dtype=np.float64) + origin, np.asarray(kept, dtype=np.int64))
+        best = smaller
+    return best
+
+
+def signed_volume_mm3(mesh: Mesh) -> float:
+    """Volume by the divergence theorem: exact for a closed mesh, rough for an open one, negative if inside out."""
+    return float(face_volumes_mm3(mesh).sum())
+
+
+def face_volumes_mm3(mesh: Mesh) -> FloatArray:
+    """(F,): signed volume of the tetrahedra from the middle of the bounding box to each face."""
+    middle = 0.5 * (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0))
+    a, b, c = np.moveaxis(mesh.triangles_mm - middle, 1, 0)
+    return np.asarray(np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
 
 
 def _mm_per_unit(path: Path, unit: str) -> float:

@@ -26,7 +26,7 @@ _BALL_GAP_MM = 0.15
 _BALL_SINK_MM = 0.3  # the seat is this much lower than the ball, so that both touch in a ring and are one body
 _HEX_MM = 3.5  # across the flats, the common driver
 _TOWER_OVERLAP_MM = 3.0
-_SLIVERS_MM = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # triangles lower than this are left over from cutting
+_SLIVERS_MM = (1e-3, 1e-6, 2e-3, 5e-3, 1e-2)  # triangles lower than this are left over from cutting
 _BUBBLE_MM3 = 1e-2
 
 
@@ -68,8 +68,8 @@ def make_screw(design: ScrewDesign | None = None, name: str = "screw") -> Implan
 def _mesh(solid: "Manifold") -> Mesh:
     """One closed mesh, from the frame of the construction (axis +z) to the CAD frame (axis +y).
 
-    Vertices that are closer than float32 can tell apart would join in an STL file and open it, so slivers are dropped
-    more boldly until the mesh stays closed there.
+    Vertices that are closer than float32 can tell apart would join in an STL file and open it: bounds on slivers are
+    tried until the mesh stays closed there.
     """
     for sliver_mm in _SLIVERS_MM:
         pieces = solid.simplify(sliver_mm).decompose()
