@@ -27,7 +27,8 @@ def loaded(page, flags, state=""):
     if browser is None:
         pytest.skip("no chromium on this machine: the page was not tried in a browser")
     command = [
-        browser, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND", "--enable-logging=stderr",
+        browser, "--headless", "--no-sandbox", "--disable-dev-shm-usage",
+        "--host-resolver-rules=MAP * ~NOTFOUND", "--enable-logging=stderr",
         f"--user-data-dir={page.parent / 'profile'}", "--virtual-time-budget=3000", *flags, "--dump-dom",
         f"{page.as_uri()}#{state}",
     ]  # fmt: skip
