@@ -59,9 +59,13 @@ class _Shank:
     axis: FloatArray
     length: float
     radius: float
-    tapers: bool
+    tip_share: float
     has_head: bool
     thread: Thread | None
+
+    @property
+    def tapers(self) -> bool:
+        return self.tip_share < _TAPER
 
     @property
     def center(self) -> FloatArray:
@@ -87,8 +91,8 @@ def propose_landmarks(mesh: Mesh) -> LandmarkProposal:
         )
         return LandmarkProposal("unsure", None, None, None, None, None, (note,))
     found = [shank for end in (axis, -axis) if (shank := _follow(mesh, middle, end, length)) is not None]
-    found.sort(key=lambda shank: -shank.signs)
-    if not found or found[0].signs < 2 or (len(found) > 1 and found[0].signs == found[1].signs):
+    found.sort(key=lambda shank: (-shank.signs, shank.tip_share))
+    if not found or found[0].signs < 2 or (len(found) > 1 and _alike(found[0], found[1])):
         seen = "no shank with a thread or a tip" if not found or found[0].signs < 2 else "two ends that look like a tip"
         note = f"It is slender, but shows {seen}. Give tip and centre by hand."
         pairs = tuple((shank.tip, shank.center) for shank in found)
@@ -104,6 +108,11 @@ def propose_landmarks(mesh: Mesh) -> LandmarkProposal:
         (*_notes(best), *scale_problems(length)),
         tuple((shank.tip, shank.center) for shank in found[1:]),
     )
+
+
+def _alike(one: _Shank, other: _Shank) -> bool:
+    """Whether nothing tells which of two ends is the tip: a neck is slimmer than the shank too, but less so."""
+    return one.signs == other.signs and one.tip_share > other.tip_share - 0.15
 
 
 def check_landmarks(mesh: Mesh, tip_mm: FloatArray, center_mm: FloatArray) -> tuple[str, ...]:
@@ -186,20 +195,22 @@ def _follow(mesh: Mesh, middle: FloatArray, axis: FloatArray, length: float) -> 
 
 def _refined(mesh: Mesh, center: FloatArray, axis: FloatArray, length: float, top: float) -> _Shank | None:
     """Fit the axis to the shank and the shank's extent to the axis, in turns; coarsely, then finely once."""
-    upto = np.inf
+    upto, extent = np.inf, _NOTHING
     for _ in range(_REFINEMENTS):
         found = _refined_once(mesh, center, axis, 3.0 * length / _PLANES, upto, top)
         if found is None:
             return None
         sections, _, extent = found
         center, axis, top, upto = sections.origin, sections.axis, extent.top, 1.25 * extent.head
+    if extent.tip_share >= _TAPER and not extent.has_head:
+        return None  # the end of a tower or a rod; a thread alone would not make it a tip
     found = _refined_once(mesh, center, axis, length / _PLANES, upto, top)
     if found is None:
         return None
     sections, reach, extent = found
     on_shank = (sections.height >= extent.start) & (sections.height < extent.top)
     thread = find_thread(reach[on_shank], length / _PLANES)
-    return _Shank(sections.origin, sections.axis, extent.head, extent.radius, extent.tapers, extent.has_head, thread)
+    return _Shank(sections.origin, sections.axis, extent.head, extent.radius, extent.tip_share, extent.has_head, thread)
 
 
 def _refined_once(
@@ -237,14 +248,20 @@ def _fitted_line(sections: Sections, low: float, high: float) -> tuple[FloatArra
 
 @dataclass(frozen=True)
 class _Extent:
-    """Heights above the tip, mm: where the shank has its full radius, where it ends, where the head begins."""
+    """Heights above the tip, mm: where the shank has its full radius, where it ends, where the head begins.
+
+    ``tip_share`` is the radius at the very end as a share of the shank's.
+    """
 
     start: float
     top: float
     head: float
     radius: float
-    tapers: bool
+    tip_share: float
     has_head: bool
+
+
+_NOTHING = _Extent(0.0, 0.0, 0.0, 0.0, 1.0, False)
 
 
 def _extent(height: FloatArray, reach: FloatArray) -> _Extent | None:
@@ -273,7 +290,7 @@ def _extent(height: FloatArray, reach: FloatArray) -> _Extent | None:
         top=float(height[top - 1]),
         head=head * step,
         radius=body,
-        tapers=bool(np.median(near_tip) < _TAPER * body),
+        tip_share=float(np.median(near_tip)) / body,
         has_head=bool(head < len(far) and far[head:].max() > _HEAD_WIDTH * body),
     )
 
