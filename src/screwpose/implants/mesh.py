@@ -190,7 +190,7 @@ def _mm_per_unit(path: Path, unit: str) -> float:
 
 def merged(vertices: NDArray[np.floating], faces: IntArray) -> Mesh:
     """Make vertices of equal coordinates one, in the order in which the faces first use them."""
-    used = vertices[faces.ravel()].astype(np.float64) + 0.0  # -0.0 becomes 0.0
+    used = vertices[faces.ravel()].astype(np.float64)
     order = np.lexsort(used.T)
     rows = used[order]
     is_new = np.concatenate([[True], np.any(rows[1:] != rows[:-1], axis=1)])
