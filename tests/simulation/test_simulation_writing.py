@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from screwpose.errors import OutputError
+from screwpose.files.case import read_case
 from screwpose.files.schema import CaseFile, TruthFile
 from screwpose.simulation import SimulatedCase, two_screw_scene, write_case
 
@@ -41,6 +42,17 @@ def test_files_hold_what_was_simulated(simulated, tmp_path):
     assert len(stl.faces) == len(implant.mesh.faces)
     np.testing.assert_allclose(stl.bounds[1], implant.mesh.vertices_mm.max(axis=0), atol=1e-4)
     assert stl.is_watertight
+
+
+def test_the_projects_own_reader_takes_it(simulated, tmp_path):
+    case = read_case(write_case(simulated, tmp_path / "case"))
+    assert case.id == simulated.id
+    (model,) = simulated.implants
+    assert len(case.implants[model].mesh.faces) == len(simulated.implants[model].mesh.faces)
+    for name, view in simulated.views.items():
+        image = case.views[name].radiograph.pixels
+        # Metal bright inside: what was darkest is brightest, pixel for pixel.
+        np.testing.assert_allclose(image, 1.0 - view.xray.pixels / 255.0, atol=1e-6)
 
 
 def test_truth_names_labels_and_poses(simulated, tmp_path):

@@ -12,6 +12,8 @@ from screwpose._types import FloatArray
 _SCATTER_REDUCTION = 8
 # Below a ten-thousandth of the reference a log display shows nothing; it also keeps the logarithm finite.
 _LEAST_SIGNAL = 1e-4
+_WHITE = 0.97  # the grey of the brightest, where there is open air
+_KNEE_DECADES = 0.3  # above the reference, over which the contrast falls
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,9 @@ class Detector:
         not depend on how thick the patient is. Air then counts a hundred times more.
     electronic_noise : standard deviation in quanta.
     bits : 8, or 9 to 16 (stored in 16, scaled so that white is 2^bits - 1).
-    display : how greys follow from the signal. ``power``: as a power of it while it is small, bending towards white;
-        ``log``: linear in its logarithm up to the reference, then bending towards white. Both keep open air, hundreds
-        of times brighter than tissue, apart from metal that stands in it.
+    display : how greys follow from the signal below its reference: ``power``, as a power of it, or ``log``, linear in
+        its logarithm. Above, both bend into a second, flatter logarithmic part that ends near white with the brightest
+        of the image, so that metal that stands in open air, hundreds of times brighter than tissue, stays visible.
     reference_grey : what the reference signal becomes, 0 black to 1 white.
     gamma : of the ``power`` display.
     log_decades : of the ``log`` display: decades of signal for the way from black to white, at the reference's slope.
@@ -113,14 +115,14 @@ def noisy(signal: FloatArray, detector: Detector, rng: np.random.Generator) -> F
 
 def displayed(signal: FloatArray, detector: Detector) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Grey values of a signal that is 1 at the reference."""
+    decades = np.log10(np.maximum(signal, _LEAST_SIGNAL))
     if detector.display == "log":
-        rise = np.log10(np.maximum(signal, _LEAST_SIGNAL)) / detector.log_decades
-        room = 1.0 - detector.reference_grey
-        above = room * -np.expm1(-np.maximum(rise, 0.0) / room)  # the same slope at the reference
-        grey = np.clip(detector.reference_grey + np.minimum(rise, 0.0) + above, 0.0, 1.0)
+        slope = 1.0 / detector.log_decades
+        below = detector.reference_grey + slope * np.minimum(decades, 0.0)
     else:
-        power = np.maximum(signal, 0.0) ** detector.gamma
-        grey = power / (power + 1.0 / detector.reference_grey - 1.0)
+        slope = detector.reference_grey * detector.gamma * np.log(10.0)
+        below = detector.reference_grey * 10.0 ** (detector.gamma * np.minimum(decades, 0.0))
+    grey = np.clip(below + _shoulder(np.maximum(decades, 0.0), slope, detector.reference_grey), 0.0, 1.0)
     if not detector.metal_dark:
         grey = 1.0 - grey
     if detector.field_radius_px is not None:
@@ -131,6 +133,15 @@ def displayed(signal: FloatArray, detector: Detector) -> NDArray[np.uint8] | NDA
     white = 2**detector.bits - 1
     rounded: FloatArray = np.round(grey * white)
     return rounded.astype(np.uint8) if detector.bits == 8 else rounded.astype(np.uint16)
+
+
+def _shoulder(decades: FloatArray, slope: float, reference_grey: float) -> FloatArray:
+    """What greys gain above the reference: with the given slope at first, then flatter, up to `_WHITE`."""
+    brightest = float(np.percentile(decades, 99.5))
+    bent = _KNEE_DECADES * -np.expm1(-brightest / _KNEE_DECADES)
+    room = _WHITE - reference_grey - slope * bent
+    flat = slope if brightest - bent <= room / slope else max(room / (brightest - bent), 0.0)
+    return flat * decades + (slope - flat) * _KNEE_DECADES * -np.expm1(-decades / _KNEE_DECADES)
 
 
 def _blurred(image: FloatArray, sigma_px: float) -> FloatArray:
