@@ -21,6 +21,7 @@ from screwpose.images.preparation import carried_outwards, log_image, smoothed
 _WORKING_PX = 512  # longer side on which pieces are sought; outlines are refined on the full image
 _RADII_PX = (12.0, 30.0, 70.0)  # half widths that the top-hats keep: shank, tower, knee
 _LEVELS = 24
+_LEAST_LEVEL = 0.02
 _LARGEST_HOLE_PX2 = 24_000.0  # a tower's inside between its walls, seen from the side
 _LEAST_AREA_PX2 = 60.0
 _BAND_PX = 4.0
@@ -29,8 +30,14 @@ _LOCAL_PX = 15.0
 # An outline counts where its steepness exceeds this share of what the steepest outlines of the image have.
 _STEEP_SHARE = 0.35
 _STEEP_CAP = 2.0  # beyond twice that, steeper is not better: else the dark shank alone would win over shank and tower
+# With a hint, what is steep and what is dark is measured by what is about: within this radius, and at least a floor of
+# a share of the greatest and of the median (noise, texture).
+_AROUND_PX = 40.0
+_FLOOR_SHARE = 0.03
+_FLOOR_NOISE = 1.5
+_LEAST_GAIN_KEPT = 0.6  # by a piece that replaces those in it
+_LEAST_MEAN_KEPT = 0.9
 _LEAST_GAIN_PX = 50.0  # steep outline that a piece must have, net of outline that is not
-_SEE_THROUGH = 0.25  # a hole paler than this share of the metal round it is one
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +66,13 @@ def metal_target(pixels: ImageArray, region: BoolArray, near: BoolArray | None =
     ----------
     pixels : (rows, columns), metal bright, in [0, 1].
     region : (rows, columns), M_bg: what lies outside is never metal.
-    near : (rows, columns), where the implants in question are, generously, or None for everywhere. Other metal (table,
-        retractor, markers) does not set the scale of what is steep then, and pieces that lie mostly outside are left.
+    near : (rows, columns), where the implants in question are, with a margin of some tens of px, or None for
+        everywhere. With it each place has its own scale of what is dark and steep, so that a tower that is pale over
+        air stays one with its screw; other metal (table, retractor, markers) is left out.
 
     Returns
     -------
-    (rows, columns). All false where no outline is steep enough.
+    (rows, columns). All false where no outline is steep enough. Holes up to a tower's inside are filled.
     """
     wanted = region if near is None else region & near
     if not wanted.any():
@@ -72,7 +80,7 @@ def metal_target(pixels: ImageArray, region: BoolArray, near: BoolArray | None =
     window = _window(wanted, margin_px=round(_RADII_PX[-1] * _scale(pixels.shape)))
     scale = _scale(pixels.shape)
     attenuation = log_image(pixels)[window]
-    metal = _pieces_of_metal(attenuation, region[window], wanted[window], scale)
+    metal = _pieces_of_metal(attenuation, region[window], wanted[window], near is not None, scale)
     metal = _refined(smoothed(attenuation, 0.8 * scale), metal, region[window], scale)
     result = np.zeros(region.shape, dtype=np.bool_)
     result[window] = metal & wanted[window]
@@ -92,7 +100,9 @@ def _window(wanted: BoolArray, margin_px: int) -> tuple[slice, slice]:
     return ends[0], ends[1]
 
 
-def _pieces_of_metal(attenuation: ImageArray, region: BoolArray, wanted: BoolArray, scale: float) -> BoolArray:
+def _pieces_of_metal(
+    attenuation: ImageArray, region: BoolArray, wanted: BoolArray, hinted: bool, scale: float
+) -> BoolArray:
     """The metal at working size, brought back to the size of `attenuation`."""
     import cv2
 
@@ -104,10 +114,13 @@ def _pieces_of_metal(attenuation: ImageArray, region: BoolArray, wanted: BoolArr
     sought = cv2.resize(wanted.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) != 0
     small = smoothed(carried_outwards(small, inside), 0.8)
     steepness = _steepness(small) * inside
-    families = [list(_cuts(hat, inside, unit)) for hat in _top_hats(small, unit)]
-    neutral = _STEEP_SHARE * _steepest_outlines(families, steepness, sought, unit)
+    hats = [_evened(hat, sought, unit) if hinted else hat for hat in _top_hats(small, unit)]
+    families = [list(_cuts(hat, inside, unit)) for hat in hats]
+    steepest = _steepest_outlines(families, steepness, sought, unit)
     metal = np.zeros(small.shape, dtype=np.bool_)
-    if neutral > 0:
+    if steepest > 0:
+        floor = _FLOOR_SHARE * steepest + _FLOOR_NOISE * float(np.median(steepness[sought]))
+        neutral = _STEEP_SHARE * (_peak_around(steepness, sought, floor, unit) if hinted else steepest)
         gain = np.minimum(steepness / neutral, _STEEP_CAP) - 1.0
         pieces = [piece for family in families for piece in _best_pieces(family, gain)]
         _add_pieces(metal, pieces, sought, unit)
@@ -141,7 +154,7 @@ def _cuts(hat: NDArray[Any], inside: BoolArray, unit: float) -> Iterator[_Cut]:
         return
     largest_hole = _LARGEST_HOLE_PX2 * unit**2
     cross = np.ones((3, 3), np.uint8)
-    for level in np.geomspace(0.97 * top, max(0.02, 0.05 * top), _LEVELS):
+    for level in np.geomspace(0.97 * top, max(_LEAST_LEVEL, 0.05 * top), _LEVELS):
         above = ((hat > level) & inside).astype(np.uint8)
         _, gaps, gap_boxes, _ = cv2.connectedComponentsWithStats(1 - above, connectivity=4)
         is_hole = gap_boxes[:, cv2.CC_STAT_AREA] <= largest_hole
@@ -179,18 +192,53 @@ def _steepest_outlines(families: list[list[_Cut]], steepness: NDArray[Any], soug
     return float(mean[order][np.searchsorted(share, 0.95)])
 
 
+def _evened(hat: NDArray[Any], sought: BoolArray, unit: float) -> NDArray[Any]:
+    """A top-hat relative to the highest round about: a tower is paler over air than over the patient, and still one."""
+    top = float(np.percentile(hat[sought], 99.95))
+    noise = float(np.median(hat[sought]))
+    return np.asarray(hat / _peak_around(hat, sought, _FLOOR_SHARE * top + _FLOOR_NOISE * noise, unit))
+
+
+def _peak_around(values: NDArray[Any], sought: BoolArray, floor: float, unit: float) -> NDArray[Any]:
+    """The highest value round each pixel, within `sought`, smoothly; at least the floor.
+
+    Where implants were said to be near, the steepest and darkest about is theirs; without that word it may be bone's.
+    """
+    import cv2
+
+    cell = max(1, round(8 * unit))
+    size = (max(1, sought.shape[1] // cell), max(1, sought.shape[0] // cell))
+    peak = cv2.dilate((values * sought).astype(np.float32), np.ones((cell, cell), np.uint8))
+    peak = cv2.resize(peak, size, interpolation=cv2.INTER_NEAREST)
+    reach = 2 * max(1, round(_AROUND_PX * unit / cell)) + 1
+    peak = cv2.dilate(peak, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
+    peak = cv2.blur(peak, (reach, reach), borderType=cv2.BORDER_REPLICATE)
+    peak = cv2.resize(peak, sought.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.maximum(peak, max(floor, 1e-6))
+
+
 def _best_pieces(family: list[_Cut], gain: NDArray[Any]) -> list[_Piece]:
-    """Of nested pieces the set with the greatest gain: going down, a piece replaces those in it if it gains more."""
+    """Choose among nested pieces, going down the levels: a piece replaces those in it while its outline stays steep.
+
+    The outline of two dark walls is longer than that of the pale tower that they belong to, so the gain may fall by
+    some share; its mean along the outline may hardly fall, or spurs of bone would come in. Both are compared with the
+    best that was ever reached inside the piece, so that small losses do not add up.
+    """
     gain = gain.ravel()
     pieces: list[_Piece] = []
     anchors = np.zeros(0, dtype=np.int64)  # one outline pixel of each
+    best = np.zeros((2, 0))  # per piece: gain, and length of the outline that it was reached with
     for cut in family:
         count = len(cut.boxes)
         own = np.bincount(cut.outline_label, weights=gain[cut.outline], minlength=count)
+        length = np.bincount(cut.outline_label, minlength=count).astype(np.float64)
         parent = cut.labels.ravel()[anchors]
-        inner = np.bincount(parent, weights=[piece.gain for piece in pieces], minlength=count)
-        wins = own > np.maximum(inner, 0.0)
+        inner, inner_length = (np.bincount(parent, weights=row, minlength=count) for row in best)
+        steep_enough = own * inner_length >= _LEAST_MEAN_KEPT * inner * length
+        wins = (own > 0.0) & (own >= _LEAST_GAIN_KEPT * inner) & steep_enough
         wins[0] = False
+        better = own > inner
+        reached = np.where(better, own, inner), np.where(better, length, inner_length)
         keep = ~wins[parent]
         first = np.zeros(count, dtype=np.int64)
         first[cut.outline_label[::-1]] = cut.outline[::-1]
@@ -198,6 +246,7 @@ def _best_pieces(family: list[_Cut], gain: NDArray[Any]) -> list[_Piece]:
         pieces = [piece for piece, kept in zip(pieces, keep, strict=True) if kept]
         pieces += [_cut_out(cut, int(label), float(own[label])) for label in winners]
         anchors = np.concatenate([anchors[keep], first[winners]])
+        best = np.concatenate([best[:, keep], np.stack([row[winners] for row in reached])], axis=1)
     return pieces
 
 
