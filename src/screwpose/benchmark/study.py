@@ -78,7 +78,7 @@ def run_case(
     folder: Path,
     progress: Callable[[float, str], None] | None = None,
 ) -> CaseOutcome:
-    """Make, solve and report one case, through the files that users have, in ``folder/cases`` and ``folder/results``."""
+    """Make, solve and report one case, through files as users have them, in ``folder/cases`` and ``folder/results``."""
     from screwpose.report.writing import write_report
 
     name = f"{cases.name}-{index:04d}"

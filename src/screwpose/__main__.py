@@ -1,0 +1,5 @@
+"""``python -m screwpose``."""
+
+from screwpose.cli import main
+
+main()

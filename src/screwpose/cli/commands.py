@@ -1,0 +1,240 @@
+"""The front door: each command parses, calls the library, and prints."""
+
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from screwpose import __version__
+from screwpose.cli.terminal import BAD_INPUT, EXIT_CODES, REFUSED, answers_errors, say_json, shown_progress
+
+app = typer.Typer(
+    name="screwpose",
+    help="Pair pedicle screws across two calibrated C-arm X-rays and find their 3D poses from CAD models. "
+    "Research software: not a medical device.",
+    epilog=EXIT_CODES,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+model_app = typer.Typer(help="Look at CAD models.", no_args_is_help=True)
+app.add_typer(model_app, name="model")
+
+
+class MethodName(StrEnum):
+    """How the pairing is decided."""
+
+    default = "default"
+    paper = "paper"
+
+
+class SetName(StrEnum):
+    """The benchmark sets."""
+
+    paper = "paper"
+    real = "real"
+
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object, for machines.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print nothing but errors.")]
+MethodOption = Annotated[MethodName, typer.Option(help="How the pairing is decided: by landmarks, or as in the paper.")]
+Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
+Generations = Annotated[int, typer.Option(min=1, help="Generations of the differential evolution.")]
+Population = Annotated[int, typer.Option(min=1, help="Its population, for each degree of freedom.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same answer.")]
+SigmaPx = Annotated[float, typer.Option(min=0.01, help="How exactly landmarks were marked, px (standard deviation).")]
+
+
+def _options(
+    method: MethodName, faces: int, generations: int, population: int, seed: int, landmark_sigma: float
+) -> Any:
+    from screwpose.pairing.segment import LandmarkNoise
+    from screwpose.solve import SolveOptions
+
+    options = SolveOptions(method=method.value, faces=faces or None, noise=LandmarkNoise(sigma_px=landmark_sigma))
+    search = replace(options.search, generations=generations, population=population, seed=seed)
+    return replace(options, search=search)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
+    if version:
+        typer.echo(f"screwpose {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+@answers_errors
+def demo(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")] = Path("screwpose-demo"),
+    seed: Seed = 7,
+    method: MethodOption = MethodName.default,
+    faces: Faces = 1000,
+    generations: Generations = 60,
+    population: Population = 5,
+    landmark_sigma: SigmaPx = 2.0,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a case of two screws with known truth, solve it, score it, and write everything."""
+    from screwpose.cli.jobs import run_demo
+    from screwpose.cli.words import told_demo
+
+    options = _options(method, faces, generations, population, seed, landmark_sigma)
+    with shown_progress(quiet or as_json) as progress:
+        result, comparison = run_demo(out, seed, options, progress)
+    if as_json:
+        say_json({"out": str(out), "result": result.answer.model_dump(mode="json", exclude_none=True)})
+    elif not quiet:
+        typer.echo(told_demo(out, result.answer, comparison))
+    _leave_by(result.answer.status)
+
+
+@app.command()
+@answers_errors
+def solve(
+    case: Annotated[Path, typer.Argument(help="case.json, or its folder.")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
+    method: MethodOption = MethodName.default,
+    faces: Faces = 1000,
+    generations: Generations = 60,
+    population: Population = 5,
+    seed: Seed = 0,
+    landmark_sigma: SigmaPx = 2.0,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Pair and register the screws of CASE; write result, overlays, table, meshes and report."""
+    from screwpose.cli.jobs import solve_files
+    from screwpose.cli.words import told_result
+
+    options = _options(method, faces, generations, population, seed, landmark_sigma)
+    with shown_progress(quiet or as_json) as progress:
+        result, _ = solve_files(case, out, options, progress)
+    if as_json:
+        say_json({"out": str(out), "result": result.answer.model_dump(mode="json", exclude_none=True)})
+    elif not quiet:
+        typer.echo(told_result(out, result.answer))
+    _leave_by(result.answer.status)
+
+
+@app.command()
+@answers_errors
+def check(
+    case: Annotated[Path, typer.Argument(help="case.json, or its folder.")],
+    landmark_sigma: SigmaPx = 2.0,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say everything that can be known to be wrong with CASE before solving, all at once."""
+    from screwpose.cli.jobs import check_files
+    from screwpose.cli.words import told_findings
+
+    findings = check_files(case, landmark_sigma)
+    errors = sum(finding.level == "error" for finding in findings)
+    if as_json:
+        listed = [finding.as_dict() for finding in findings]
+        say_json({"case": str(case), "errors": errors, "warnings": len(findings) - errors, "findings": listed})
+    elif errors or not quiet:
+        typer.echo(told_findings(case, findings))
+    if errors:
+        raise typer.Exit(BAD_INPUT)
+
+
+@app.command()
+@answers_errors
+def simulate(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the case into.")],
+    seed: Seed = 0,
+    landmark_noise: Annotated[float, typer.Option(min=0.0, help="Noise of the landmarks, px.")] = 1.5,
+    size: Annotated[int, typer.Option(min=128, max=4096, help="Width and height of the images, px.")] = 1024,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a case of two screws with towers, seen in AP and LAT, with its truth."""
+    from screwpose.files.atomic import ensure_can_write_folder
+    from screwpose.simulation.scenes import two_screw_scene
+    from screwpose.simulation.writing import write_case
+
+    ensure_can_write_folder(out, marker="case.json")
+    with shown_progress(quiet or as_json) as progress:
+        progress(0.0, "X-raying a simulated patient")
+        path = write_case(two_screw_scene(seed, landmark_noise_px=landmark_noise, image_size=(size, size)), out)
+    if as_json:
+        say_json({"case": str(path), "truth": str(path.parent / "truth.json")})
+    elif not quiet:
+        typer.echo(f"{path}\nSolve it with: screwpose solve {out} -o {out.name}-solved")
+
+
+@app.command()
+@answers_errors
+def bench(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
+    set_name: Annotated[SetName, typer.Option("--set", help="Which cases.")] = SetName.paper,
+    method: MethodOption = MethodName.paper,
+    count: Annotated[int, typer.Option(min=1, help="How many cases, at most.")] = 10,
+    seed: Seed = 1,
+    faces: Faces = 1000,
+    generations: Generations = 60,
+    population: Population = 5,
+    landmark_sigma: SigmaPx = 2.0,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure a method on cases with known truth: summary.json, the paper's tables, every case's report."""
+    from screwpose.benchmark import run_study, summarise, write_study
+    from screwpose.benchmark.writing import error_table, outcome_table
+    from screwpose.cli.words import told_study
+
+    options = _options(method, faces, generations, population, seed, landmark_sigma)
+    with shown_progress(quiet or as_json) as progress:
+        study = run_study(set_name.value, options, count, seed, out, _of_cases(progress))
+    write_study(study, out)
+    if as_json:
+        say_json(summarise(study).model_dump(mode="json", exclude_none=True))
+    elif not quiet:
+        typer.echo(told_study(out, [outcome_table(study), error_table(study)]))
+
+
+@model_app.command("inspect")
+@answers_errors
+def inspect_model(
+    file: Annotated[Path, typer.Argument(help="STL, OBJ, PLY, VTK or STEP.")],
+    unit: Annotated[str, typer.Option(help="Unit of the file's coordinates: mm, cm, m, inch.")] = "mm",
+    picture: Annotated[
+        Path | None, typer.Option("-o", "--picture", help="PNG to draw; default: FILE's name with _inspect.png, here.")
+    ] = None,
+    as_json: AsJson = False,
+    quiet: Quiet = False,
+) -> None:
+    """Report on a mesh, propose its tip and centre, and draw it."""
+    from screwpose.cli.words import model_facts, told_model
+    from screwpose.implants import draw_mesh, mesh_report, propose_landmarks, read_mesh
+
+    mesh = read_mesh(file, unit)
+    report, proposal = mesh_report(mesh), propose_landmarks(mesh)
+    drawn = picture or Path(f"{file.stem}_inspect.png")
+    draw_mesh(mesh, proposal, drawn)
+    if as_json:
+        say_json({"file": str(file), "unit": unit, "picture": str(drawn), **model_facts(report, proposal)})
+    elif not quiet:
+        typer.echo(told_model(file, unit, report, proposal, drawn))
+
+
+def _of_cases(progress: Any) -> Any:
+    """The library's progress by cases as one bar."""
+    return lambda done, cases, fraction, what: progress(
+        (done + fraction) / cases, f"case {done + 1} of {cases}: {what}"
+    )
+
+
+def _leave_by(status: str) -> None:
+    if status == "refused":
+        raise typer.Exit(REFUSED)
+
+
+def main() -> None:
+    """The program `screwpose`."""
+    app()

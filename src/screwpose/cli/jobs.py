@@ -1,0 +1,88 @@
+"""The jobs of the front door: from files to files."""
+
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+from screwpose.files.atomic import atomic_folder, ensure_can_write_folder
+from screwpose.files.case import Case, inspect_case, read_case
+from screwpose.files.findings import Finding, errors_in
+from screwpose.files.result import Result
+from screwpose.registration import Progress
+from screwpose.report.comparison import Comparison
+from screwpose.solve import SolveOptions, solve
+
+_DEMO_NOISE_PX = 1.5
+
+
+def solve_files(
+    case_path: str | Path, out: str | Path, options: SolveOptions, progress: Progress, truth_origin: str | None = None
+) -> tuple[Result, Comparison | None]:
+    """Read a case, solve it, and write its report folder; nothing is written unless all of it is.
+
+    Parameters
+    ----------
+    truth_origin : score against the truth.json beside the case, which comes from there; None: do not look at it.
+    """
+    from screwpose.report.writing import write_report
+
+    ensure_can_write_folder(out)
+    start = perf_counter()
+    progress(0.0, "reading the case")
+    case = read_case(case_path)
+    loaded = perf_counter() - start
+    result = with_load_time(solve(case, options, lambda fraction, what: progress(0.02 + 0.88 * fraction, what)), loaded)
+    comparison = None if truth_origin is None else _compared(case, result, Path(case_path), truth_origin)
+    with atomic_folder(out) as partial:
+        write_report(partial, case, result, comparison, lambda fraction, what: progress(0.9 + 0.1 * fraction, what))
+    return result, comparison
+
+
+def run_demo(out: str | Path, seed: int, options: SolveOptions, progress: Progress) -> tuple[Result, Comparison | None]:
+    """Simulate a two-screw case into ``out/case``, and solve it as a user's case would be.
+
+    Everything of it is in `out` afterwards: the case with its truth, the result, the report.
+    """
+    from screwpose.report.writing import write_report
+    from screwpose.simulation.scenes import two_screw_scene
+    from screwpose.simulation.writing import write_case
+
+    ensure_can_write_folder(out)
+    with atomic_folder(out) as partial:
+        progress(0.0, "X-raying a simulated patient with two pedicle screws")
+        case_path = write_case(two_screw_scene(seed, landmark_noise_px=_DEMO_NOISE_PX), partial / "case")
+        start = perf_counter()
+        case = read_case(case_path)
+        loaded = perf_counter() - start
+        solved = solve(case, options, lambda fraction, what: progress(0.05 + 0.85 * fraction, what))
+        result = with_load_time(solved, loaded)
+        comparison = _compared(case, result, case_path, "simulated")
+        write_report(partial, case, result, comparison, lambda fraction, what: progress(0.9 + 0.1 * fraction, what))
+    return result, comparison
+
+
+def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Finding, ...]:
+    """Everything that can be known to be wrong with a case: its files, then whether they agree with each other."""
+    from screwpose.pairing.plausibility import check_plausibility
+    from screwpose.pairing.segment import LandmarkNoise
+
+    case, findings = inspect_case(case_path)
+    if case is None or errors_in(findings):
+        return findings
+    return findings + check_plausibility(case, LandmarkNoise(sigma_px=landmark_sigma_px))
+
+
+def with_load_time(result: Result, seconds: float) -> Result:
+    """The result with the time that reading took, in front and in the total."""
+    timing = result.answer.timing_s
+    timed = {"load": seconds, **timing, "total": timing["total"] + seconds}
+    return replace(result, answer=result.answer.model_copy(update={"timing_s": timed}))
+
+
+def _compared(case: Case, result: Result, case_path: Path, origin: str) -> Comparison:
+    from screwpose.benchmark.scoring import compare
+    from screwpose.files.case import case_file
+    from screwpose.files.truth import read_truth
+
+    truth = read_truth(case_file(case_path).parent / "truth.json")
+    return compare(result.answer, truth, case.implants, origin)
