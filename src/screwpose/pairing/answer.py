@@ -34,6 +34,8 @@ from screwpose.similarity import SceneScore
 # Below the first a screw hardly covers metal in some view and someone should look; below the second it covers none.
 _CHECK_DICE = 0.4
 _FAILED_DICE = 0.1
+# A registered screw whose outline meets edges of the image has a loss of some -0.03 or lower; noise gives some -0.002.
+_CHECK_LOSS = -0.01
 _ABOUT_THE_POSES = (
     "the poses come from the paper's silhouette loss, which is biased: expect errors of a millimetre or two, "
     "and do not rely on the roll about a screw's axis (docs/benchmarks.md)"
@@ -147,6 +149,11 @@ def _screws(
         worst_dice = post[index].views[worst_view].dice
         if worst_dice < _CHECK_DICE:
             words.append(f"it covers little metal in {worst_view} (Dice {worst_dice:.2f})")
+        words += [
+            f"its outline meets no edges in {view} (loss {score.loss:.3f})"
+            for view, score in post[index].views.items()
+            if score.loss > _CHECK_LOSS
+        ]
         if trial.found is not None and trial.found.at_bound[index]:
             words.append("the search ended near its bounds: the landmarks started it too far off")
         for view, offsets in landmark_offsets_px(case, implant, hypothesis.by_view, pose).items():

@@ -11,6 +11,7 @@ from screwpose.implants.model import Implant
 
 _COARSE_STEP_DEG = 10.0
 _FINE_STEP_DEG = 2.0
+_VALLEYS = 3
 
 
 def align(implant: Implant, tip_in_world_mm: FloatArray, center_in_world_mm: FloatArray) -> FloatArray:
@@ -53,25 +54,26 @@ class AxialSearch:
 def axial_search(implant: Implant, world_from_cad: FloatArray, loss: Callable[[FloatArray], float]) -> AxialSearch:
     """Search the rotation about V over the full turn for the lowest loss.
 
-    Every 10 degrees, then every 2 degrees around the best. On equal losses (a body of revolution) the smallest angle
-    is kept, so that the answer does not depend on rounding.
+    Every 10 degrees, then every 2 degrees around the three best valleys: silhouettes repeat after half a turn, and the
+    coarse steps may miss the bottom of the right valley. On equal losses (a body of revolution) the smallest angle is
+    kept, so that the answer does not depend on rounding.
 
     Parameters
     ----------
     loss : of a pose world_from_cad (4, 4).
     """
-    coarse = np.arange(0.0, 360.0, _COARSE_STEP_DEG)
+
+    def loss_at(roll_deg: float) -> float:
+        return loss(turned(implant, world_from_cad, float(np.radians(roll_deg))))
+
+    coarse_deg = np.arange(0.0, 360.0, _COARSE_STEP_DEG)
+    losses = np.array([loss_at(float(roll)) for roll in coarse_deg])
+    is_valley = (losses <= np.roll(losses, 1)) & (losses <= np.roll(losses, -1))
+    valleys = coarse_deg[is_valley][np.argsort(losses[is_valley], kind="stable")][:_VALLEYS]
     around = np.arange(-_COARSE_STEP_DEG + _FINE_STEP_DEG, _COARSE_STEP_DEG, _FINE_STEP_DEG)
     around = around[np.argsort(np.abs(around), kind="stable")]  # the smallest first: it wins among equals
-    best_deg, best_loss = _lowest(implant, world_from_cad, coarse, loss)
-    best_deg, best_loss = _lowest(implant, world_from_cad, best_deg + around, loss)
-    roll_rad = float(np.radians((best_deg + 180.0) % 360.0 - 180.0))
-    return AxialSearch(roll_rad, turned(implant, world_from_cad, roll_rad), best_loss)
-
-
-def _lowest(
-    implant: Implant, world_from_cad: FloatArray, rolls_deg: FloatArray, loss: Callable[[FloatArray], float]
-) -> tuple[float, float]:
-    losses = [loss(turned(implant, world_from_cad, float(np.radians(roll)))) for roll in rolls_deg]
-    index = int(np.argmin(losses))
-    return float(rolls_deg[index]), losses[index]
+    fine_deg = [float(valley + step) for valley in valleys for step in around]
+    fine = [loss_at(roll) for roll in fine_deg]
+    best = int(np.argmin(fine))
+    roll_rad = float(np.radians((fine_deg[best] + 180.0) % 360.0 - 180.0))
+    return AxialSearch(roll_rad, turned(implant, world_from_cad, roll_rad), fine[best])

@@ -1,0 +1,127 @@
+"""The whole job on a small simulated case: paired right, reproducible, cancellable, and honest."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from screwpose.benchmark import pairing_is_right, screw_errors
+from screwpose.errors import CancelledError
+from screwpose.files.case import Case, read_case
+from screwpose.files.schema import TruthFile
+from screwpose.files.truth import read_truth
+from screwpose.pairing import LandmarkNoise
+from screwpose.registration import SearchOptions
+from screwpose.simulation.scenes import two_screw_scene
+from screwpose.simulation.writing import write_case
+from screwpose.solve import SolveOptions, solve
+
+QUICK = SolveOptions(
+    noise=LandmarkNoise(sigma_px=0.6),  # the images are a third of the usual size
+    faces=300,
+    search=SearchOptions(generations=4, population=2),
+)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Case, TruthFile]:
+    folder = tmp_path_factory.mktemp("simulated") / "case"
+    path = write_case(two_screw_scene(21, landmark_noise_px=0.3, image_size=(320, 320)), folder)
+    return read_case(path), read_truth(path.parent / "truth.json")
+
+
+def test_it_pairs_right_and_places_the_screws(simulated: tuple[Case, TruthFile]) -> None:
+    case, truth = simulated
+    told: list[tuple[float, str]] = []
+    result = solve(case, QUICK, lambda fraction, what: told.append((fraction, what)))
+    answer = result.answer
+    assert pairing_is_right(answer, truth)
+    assert answer.pairing.status == "confident"
+    assert [one.id for one in answer.combinations] == [1, 2] == [scene.id for scene in result.scenes]
+    assert answer.combinations[0].probability == answer.pairing.probability > 0.99
+    for one in answer.combinations:
+        assert one.post is not None
+        assert one.post.loss <= one.pre.loss + 0.02  # searched on the reduced model, scored on the full one
+        np.testing.assert_allclose(one.pre.dice, np.mean([view.dice for view in one.pre.views.values()]))
+        np.testing.assert_allclose(one.post.loss, np.mean([view.loss for view in one.post.views.values()]))
+    for screw, error in screw_errors(answer, truth, case.implants):
+        assert error is not None
+        assert error.tip_mm < 4.0
+        assert error.axis_deg < 6.0
+        implant, pose = case.implants[screw.model], np.array(screw.world_from_cad)
+        np.testing.assert_allclose(pose @ [*implant.tip_mm, 1], [*screw.tip, 1], atol=1e-9)
+        np.testing.assert_allclose(np.subtract(screw.center, screw.tip) / implant.length_mm, screw.axis, atol=1e-9)
+    assert any("roll" in warning for warning in answer.warnings)
+    fractions = [fraction for fraction, _ in told]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert set(answer.timing_s) >= {"pairing", "registration", "total"}
+
+
+def test_the_paper_method_takes_the_higher_dice(simulated: tuple[Case, TruthFile]) -> None:
+    case, _ = simulated
+    answer = solve(case, replace(QUICK, method="paper")).answer
+    dice = [one.post.dice for one in answer.combinations if one.post is not None]
+    assert len(dice) == 2
+    assert dice == sorted(dice, reverse=True)
+    assert answer.pairing.pairs == answer.combinations[0].pairs
+    assert answer.pairing.chosen_by is not None
+    assert answer.pairing.chosen_by.post == 1
+
+
+def test_the_same_seed_gives_the_same_answer(simulated: tuple[Case, TruthFile]) -> None:
+    case, _ = simulated
+    few = replace(QUICK, faces=200, search=SearchOptions(generations=3, population=2))
+    answers = [solve(case, replace(few, search=replace(few.search, seed=seed))).answer for seed in (5, 5, 6)]
+    poses = [[screw.world_from_cad for screw in answer.screws] for answer in answers]
+    assert poses[0] == poses[1] != poses[2]
+
+
+def test_a_screw_missing_in_one_view_is_said_to_be_alone(simulated: tuple[Case, TruthFile]) -> None:
+    case, truth = simulated
+    only = case.annotations["LAT"][:1]
+    answer = solve(replace(case, annotations={**case.annotations, "LAT": only}), QUICK).answer
+    (pair,) = answer.pairing.pairs
+    assert pair in [dict(screw.labels) for screw in truth.screws]
+    (alone,) = answer.pairing.unpaired["AP"]
+    assert alone != pair["AP"]
+    assert f"AP {alone} has no partner" in answer.warnings
+
+
+def test_contradicting_landmarks_are_refused_with_a_reason(simulated: tuple[Case, TruthFile]) -> None:
+    case, _ = simulated
+    moved = tuple(replace(mark, tip_px=mark.tip_px + [60.0, 45.0]) for mark in case.annotations["LAT"])
+    result = solve(replace(case, annotations={**case.annotations, "LAT": moved}), QUICK)
+    assert result.answer.status == "refused"
+    assert result.answer.screws == ()
+    assert result.scenes == ()
+    assert "no pairing of the screws explains the landmarks" in " ".join(result.answer.warnings)
+
+
+def test_an_image_without_the_screws_is_not_confident(simulated: tuple[Case, TruthFile]) -> None:
+    case, _ = simulated
+    view = case.views["LAT"]
+    noise = np.random.default_rng(1).uniform(0.4, 0.42, view.radiograph.pixels.shape).astype(np.float32)
+    empty = replace(view, radiograph=replace(view.radiograph, pixels=noise))
+    answer = solve(replace(case, views={**case.views, "LAT": empty}), QUICK).answer
+    assert answer.status == "ambiguous"
+    assert {screw.status for screw in answer.screws} <= {"check", "failed"}
+    assert "its outline meets no edges in LAT" in " ".join(answer.warnings)
+
+
+def test_it_can_be_cancelled(simulated: tuple[Case, TruthFile]) -> None:
+    def stop(fraction: float, what: str) -> None:
+        if fraction > 0.3:
+            raise CancelledError("enough")
+
+    with pytest.raises(CancelledError, match="enough"):
+        solve(simulated[0], QUICK, stop)
+
+
+def test_nothing_is_written_by_solving(
+    simulated: tuple[Case, TruthFile], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    solve(simulated[0], replace(QUICK, search=replace(QUICK.search, generations=1)))
+    assert list(tmp_path.iterdir()) == []
