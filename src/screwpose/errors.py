@@ -59,7 +59,8 @@ class InputError(ScrewposeError):
         text = f"{place}: {self.problem}" if place else self.problem
         if self.expected:
             text += f"; expected {self.expected}"
-        text += "."
+        if not text.endswith(("?", "!")):
+            text += "."
         if self.remedy:
             text += f" {self.remedy}"
         return text

@@ -359,6 +359,54 @@ BAD = {
         CaseError,
         r'format: "screwpose-case/2"; expected "screwpose-case/1"\. This version of the format is not known here',
     ),
+    "same image twice": (
+        lambda b: b.images.update({"lat.png": b.images["ap.png"]}),
+        ImageError,
+        r"views\.LAT\.image: the image is the same, pixel for pixel, as that of AP; .* given twice\?",
+    ),
+    "image of a few pixels": (
+        lambda b: b.images.update({"ap.png": b.images["ap.png"][:20]}),
+        ImageError,
+        r"views\.AP\.image: the image is 64 x 20 px; expected an X-ray of at least 32 px each way\. Is it the right",
+    ),
+    "mesh in metres": (
+        lambda b: b.meshes.update({"models/box.stl": box_stl([-0.003, 0, -0.003], [0.003, 0.045, 0.003])}),
+        MeshError,
+        r"models\.box\.unit: the mesh is 0\.045 mm long, read as `mm`, and the center \[0\.0, 22\.5, 0\.0\] lies "
+        r"22\.4\d mm outside of it; expected a screw of 20 to 250 mm, and landmarks on it\. Set the mesh's unit: "
+        r"as `m` it would be 45 mm long\. Tip and center stand in mm, whatever it is\.",
+    ),
+    "mesh in inches": (
+        lambda b: b.meshes.update({"models/box.stl": box_stl([-0.12, 0, -0.12], [0.12, 1.77, 0.12])}),
+        MeshError,
+        r"models\.box\.unit: the mesh is 1\.77 mm long, read as `mm`, and the center .* as `inch` it would be 44\.96",
+    ),
+    "mesh declared in metres": (
+        _model("unit", "m"),
+        MeshError,
+        r"models\.box\.unit: the mesh is 4\.5e\+04 mm long, read as `m`; .* Set the mesh's unit: as `mm` it would be",
+    ),
+    "center of another frame": (
+        _model("center", [0, 1e6, 0]),
+        MeshError,
+        r"models\.box\.center: the mesh is 45 mm long, read as `mm`, and the center .* Give tip and center in mm, in "
+        r"the frame of the mesh: it spans \[-3, 0, -3\] to \[3, 45, 3\]\.",
+    ),
+    "number too large": (
+        _mark("AP", "tip", [1e308, 30.0]),
+        CaseError,
+        r"annotations\.AP\[0\]\.tip\[0\]: 1e\+308 is too large a number; expected at most 1e\+15 in size\.",
+    ),
+    "view's name in small letters": (
+        lambda b: b.data["annotations"].update(lat=b.data["annotations"].pop("LAT")),
+        AnnotationError,
+        r"annotations\.lat: there is no view of this name; expected one of `AP`, `LAT`\. Is `LAT` meant\?",
+    ),
+    "several landmarks outside": (
+        lambda b: b.screw("AP").update(tip=[80.0, 31.5], center=[90.0, 31.5]),
+        AnnotationError,
+        r"AP\[0\]\.center: \[90, 31\.5\] of screw 1 is 26\.5 px outside the image, the worst of 2 landmarks outside",
+    ),
     "another file": (
         lambda b: b.data.update(format="screwpose-truth/1"),
         CaseError,
@@ -392,7 +440,7 @@ def test_a_landmark_that_is_not_finite_is_refused(builder, literal, said):
     assert case is None
     assert [str(finding) for finding in findings] == [
         f"{builder.file}: annotations.AP[0].tip[0]: {said} is not a finite number; expected a finite number. "
-        "Leave the key out where nothing is known."
+        "Mark the point again, or take the screw out of this view."
     ]
 
 

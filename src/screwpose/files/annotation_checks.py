@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from screwpose._types import FloatArray
 from screwpose.errors import AnnotationError
 from screwpose.files.inspection import Inspection, MarkedScrews
 from screwpose.files.schema_case import AnnotationFile
@@ -40,17 +39,16 @@ def check_annotations(
         _check_repeated_places(view, screws, inspection)
         for index, screw in screws:
             _check_screw(screw, f"annotations.{view}[{index}]", models, inspection)
-            if view in sizes:
-                for landmark, point in (("tip", screw.tip), ("center", screw.center)):
-                    where = f"annotations.{view}[{index}].{landmark}"
-                    _check_inside(np.array(point), where, f"screw {screw.label}", sizes[view], inspection)
+        if view in sizes:
+            _check_inside(view, screws, sizes[view], inspection)
     if isinstance(lists, dict) and set(lists) == set(views) and len(views) > 1:
         _check_counts({view: len(lists[view]) for view in views if isinstance(lists[view], list)}, inspection)
 
 
 def _check_view_names(names: list[str], views: list[str], inspection: Inspection) -> None:
     for view in views:
-        if view not in names:
+        misspelt = any(name not in views and nearest(name, views) == view for name in names)
+        if view not in names and not misspelt:
             inspection.error(
                 f"annotations.{view}",
                 "the view has no list of annotations",
@@ -117,17 +115,28 @@ def _check_screw(screw: AnnotationFile, where: str, models: list[str], inspectio
         )
 
 
-def _check_inside(point_px: FloatArray, where: str, whose: str, size: tuple[int, int], inspection: Inspection) -> None:
-    """Just outside of the image is a warning, further out an error."""
+def _check_inside(
+    view: str, screws: list[tuple[int, AnnotationFile]], size: tuple[int, int], inspection: Inspection
+) -> None:
+    """Just outside of the image is a warning, further out an error. The worst is named, and how many there are."""
     high = np.array(size) - 0.5
-    outside = np.maximum(-0.5 - point_px, point_px - high)
-    if (outside <= 0).all():
+    marks = [
+        (f"annotations.{view}[{index}].{landmark}", screw.label, np.array(point))
+        for index, screw in screws
+        for landmark, point in (("tip", screw.tip), ("center", screw.center))
+    ]
+    beyond = [float(np.maximum(-0.5 - point, point - high).max()) for _, _, point in marks]
+    if max(beyond, default=0.0) <= 0:
         return
-    u, v = point_px
-    problem = f"[{u:g}, {v:g}] of {whose} is {outside.max():g} px outside the image"
+    where, label, (u, v) = marks[int(np.argmax(beyond))]
+    problem = f"[{u:.6g}, {v:.6g}] of screw {label} is {max(beyond):.4g} px outside the image"
+    count = sum(off > 0 for off in beyond)
+    if count > 1:
+        problem += f", the worst of {count} landmarks outside (of {len(marks)} in {view})"
     expected = f"u from -0.5 to {high[0]:g} and v from -0.5 to {high[1]:g}"
+    outside = np.array([np.maximum(-0.5 - point, point - high) for _, _, point in marks])
     if (outside <= _MAX_OUTSIDE * np.array(size)).all():
-        remedy = "It is used as it is."
+        remedy = "It is used as it is." if count == 1 else "They are used as they are."
         inspection.warn(where, problem, expected=expected, remedy=remedy, kind=AnnotationError)
     else:
         swapped = (np.array([v, u]) <= high).all() and min(u, v) >= -0.5

@@ -1,9 +1,9 @@
 """What was asked: a case with its images, cameras, implants and landmarks in memory, and how it gets there."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from screwpose.files.findings import Finding, errors_in, raise_first, warnings_i
 from screwpose.geometry.camera import Camera
 from screwpose.images.radiograph import Radiograph
 from screwpose.implants.model import Implant
+
+if TYPE_CHECKING:
+    from screwpose.files.schema_case import AnnotationFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,15 @@ def case_file(path: str | Path) -> Path:
     return path / "case.json" if path.is_dir() else path
 
 
+def _middle_px(screws: Sequence[tuple[int, "AnnotationFile"]], size: tuple[int, int] | None) -> FloatArray:
+    """The mean of a view's landmarks, (2,), px; one that lies far outside the image, an error of its own, is drawn in,
+    so that the matrices are not blamed for it."""
+    points = np.array([point for _, screw in screws for point in (screw.tip, screw.center)])
+    if size is not None:
+        points = np.clip(points, -np.array(size), 2 * np.array(size))
+    return np.asarray(points.mean(axis=0), dtype=np.float64)
+
+
 def _contents(
     data: Mapping[str, Any], file: Path
 ) -> tuple[dict[str, View], dict[str, Implant], dict[str, tuple[Annotation, ...]], list[Finding]]:
@@ -131,11 +143,7 @@ def _contents(
     images = read_images(view_entries, inspection)
     sizes = {name: image.radiograph.size for name, image in images.items()}
     matrices = {name: np.array(view["projection"]) for name, view in view_entries.items() if "projection" in view}
-    middles_px = {
-        view: np.mean([point for _, screw in screws for point in (screw.tip, screw.center)], axis=0)
-        for view, screws in marked.items()
-        if screws
-    }
+    middles_px = {view: _middle_px(screws, sizes.get(view)) for view, screws in marked.items() if screws}
     cameras = cameras_of(matrices, sizes, middles_px, inspection)
     implants = read_implants(objects_in(data.get("models"), ModelFile), inspection)
     check_annotations(marked, data, sizes, inspection)

@@ -13,6 +13,7 @@ from screwpose.implants.model import Implant, Mesh, Part
 
 # Parts are cut out of the whole, or fit into one another with some play: their common box is the whole's to this.
 _PARTS_TOLERANCE_MM = 2.0
+_POSSIBLE_MM = (2.0, 1000.0)  # from a marker's ball to a whole construct; what is beyond is in another unit
 
 
 def read_implants(models: Mapping[str, Mapping[str, Any]], inspection: Inspection) -> dict[str, Implant]:
@@ -27,8 +28,11 @@ def read_implants(models: Mapping[str, Mapping[str, Any]], inspection: Inspectio
         where = f"models.{name}"
         mesh = _mesh(model.get("mesh"), model.get("unit"), where, where, inspection)
         parts = _parts(model, where, inspection)
+        tip, center = model.get("tip"), model.get("center")
         if mesh is not None:
-            _check_mesh(mesh, f"{where}.mesh", inspection)
+            landmarks = {name: np.array(at) for name, at in (("tip", tip), ("center", center)) if at is not None}
+            fits = _check_scale(mesh, str(model.get("unit")), landmarks, where, inspection)
+            _check_mesh(mesh, f"{where}.mesh", fits, inspection)
             _check_parts(mesh, parts, where, inspection)
         if parts and model.get("pivot", ()) is None:
             inspection.warn(
@@ -38,8 +42,7 @@ def read_implants(models: Mapping[str, Mapping[str, Any]], inspection: Inspectio
                 remedy="Without it the parts are held as they are.",
                 kind=MeshError,
             )
-        tip, center = model.get("tip"), model.get("center")
-        if mesh is None or tip is None or center is None:
+        if mesh is None or tip is None or center is None or not fits:
             continue
         tip_mm, center_mm = np.array(tip), np.array(center)
         if _check_landmarks(mesh, tip_mm, center_mm, where, inspection):
@@ -76,11 +79,58 @@ def _parts(model: Mapping[str, Any], where: str, inspection: Inspection) -> tupl
     return tuple(parts)
 
 
-def _check_mesh(mesh: Mesh, where: str, inspection: Inspection) -> None:
-    from screwpose.implants.health import mesh_report
+def _check_scale(
+    mesh: Mesh, unit: str, landmarks: Mapping[str, FloatArray], where: str, inspection: Inspection
+) -> bool:
+    """Whether the mesh can be an implant's at all, and its landmarks be on it; if not, the unit is the usual reason."""
+    from screwpose.implants.health import SCREW_MM, principal_length_mm
+    from screwpose.implants.mesh import MM_PER_UNIT
 
-    for problem in mesh_report(mesh).problems:
-        inspection.warn(where, str(problem).rstrip("."), kind=MeshError)
+    length_mm = principal_length_mm(mesh)
+    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    off_mm = {name: np.linalg.norm(np.maximum(0, np.maximum(low - at, at - high))) for name, at in landmarks.items()}
+    farthest = max(off_mm, key=lambda name: off_mm[name], default="")
+    said = f"the mesh is {length_mm:.4g} mm long, read as `{unit}`"
+    # A landmark a little off the mesh may be a guess; one further off than the mesh is long is of another scale.
+    if farthest and off_mm[farthest] > max(length_mm, 1.0):
+        said += f", and the {farthest} {landmarks[farthest].tolist()} lies {off_mm[farthest]:.4g} mm outside of it"
+    elif _POSSIBLE_MM[0] <= length_mm <= _POSSIBLE_MM[1]:
+        return True
+    length = length_mm / MM_PER_UNIT[unit]
+    others = [
+        f"as `{other}` it would be {length * mm:.4g} mm long"
+        for other, mm in MM_PER_UNIT.items()
+        if other != unit and SCREW_MM[0] <= length * mm <= SCREW_MM[1]
+    ]
+    fits = SCREW_MM[0] <= length_mm <= SCREW_MM[1]
+    if fits and farthest:
+        remedy = f"Give tip and center in mm, in the frame of the mesh: it spans {_box(low)} to {_box(high)}."
+    elif others:
+        remedy = f"Set the mesh's unit: {', '.join(others)}. Tip and center stand in mm, whatever it is."
+    else:
+        remedy = "Is it the right file?"
+    inspection.error(
+        f"{where}.{farthest if fits and farthest else 'unit'}",
+        said,
+        expected=f"a screw of {SCREW_MM[0]:g} to {SCREW_MM[1]:g} mm, and landmarks on it",
+        remedy=remedy,
+        kind=MeshError,
+    )
+    return False
+
+
+def _box(corner: FloatArray) -> str:
+    return "[" + ", ".join(f"{x:.4g}" for x in corner) + "]"
+
+
+def _check_mesh(mesh: Mesh, where: str, is_of_scale: bool, inspection: Inspection) -> None:
+    """Note what is wrong with the mesh; its size only where that has not been refused."""
+    from screwpose.implants.health import mesh_report, scale_problems
+
+    report = mesh_report(mesh)
+    for problem in report.problems:
+        if is_of_scale or problem not in scale_problems(report.length_mm):
+            inspection.warn(where, str(problem).rstrip("."), kind=MeshError)
 
 
 def _check_parts(mesh: Mesh, parts: tuple[Part, ...], where: str, inspection: Inspection) -> None:

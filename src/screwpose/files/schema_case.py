@@ -15,6 +15,7 @@ Unit: TypeAlias = Literal["mm", "cm", "m", "inch"]
 # What to do about a key that is missing or wrong, by model and key.
 _INSPECT = "`screwpose model inspect FILE` proposes landmarks for a mesh."
 REMEDIES = {
+    ("AnnotationFile", "label"): 'Add "label": "1", or any other name that is used once in this view.',
     ("ModelFile", "tip"): _INSPECT,
     ("ModelFile", "center"): _INSPECT,
     ("CaseFile", "annotations"): 'Give every view a list of its screws, "AP": [] where it shows none.',

@@ -115,7 +115,9 @@ def _flaws(data: Any, path: Path, location: tuple[str | int, ...]) -> Iterator[F
             path,
             field_path(location),
             "a finite number",
-            "Leave the key out where nothing is known.",
+            "Mark the point again, or take the screw out of this view."
+            if location[:1] == ("annotations",)
+            else "Leave the key out where nothing is known.",
         )
     elif isinstance(data, list):
         for index, item in enumerate(data):

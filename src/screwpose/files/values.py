@@ -13,6 +13,8 @@ from screwpose._types import FloatArray
 _RIGID_TOLERANCE = 1e-6
 # Scores are sums of floats: -1 may come out as -1.0000000000000002, and that must not cost a finished result.
 _ROUNDING = 1e-6
+# Far beyond any length, pixel or matrix entry, and small enough that products of a few such numbers stay finite.
+_LARGEST = 1e15
 
 
 class FileModel(BaseModel):
@@ -30,6 +32,13 @@ def problem_of(problem: str, expected: str, remedy: str = "") -> PydanticCustomE
 def _plain(value: Any) -> Any:
     """NumPy arrays as nested lists, so that a program can hand its matrices over as they are."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _of_this_world(value: float) -> float:
+    """Refuse numbers that are written right and cannot be meant: with 1e308 every computation overflows."""
+    if abs(value) > _LARGEST:
+        raise problem_of(f"{value:g} is too large a number", f"at most {_LARGEST:g} in size")
+    return value
 
 
 def _shape(value: Any) -> tuple[int, ...] | None:
@@ -132,7 +141,9 @@ class _Snapped:
 
 
 # The bounds stand next to the type, within reach of pydantic's JSON Schema; `_plain` comes last and so runs first.
-Number: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False), BeforeValidator(_plain)]
+Number: TypeAlias = Annotated[
+    float, Field(strict=True, allow_inf_nan=False), AfterValidator(_of_this_world), BeforeValidator(_plain)
+]
 NotNegative: TypeAlias = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), BeforeValidator(_plain)]
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0), BeforeValidator(_plain)]
 Fraction: TypeAlias = Annotated[

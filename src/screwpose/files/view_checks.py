@@ -12,6 +12,8 @@ from screwpose.errors import ImageError
 from screwpose.files.inspection import Inspection
 from screwpose.images.radiograph import Radiograph
 
+_LEAST_SIDE_PX = 32  # no screw can be told from its neighbour in fewer
+
 
 @dataclass(frozen=True, eq=False)
 class ViewImages:
@@ -44,7 +46,7 @@ def read_images(views: Mapping[str, Mapping[str, Any]], inspection: Inspection) 
             mask = _mask(mask_path, radiograph.size, f"{where}.mask", inspection)
         target = None if target_path is None else _mask(target_path, radiograph.size, f"{where}.target", inspection)
         found[name] = ViewImages(radiograph, mask, target)
-    _warn_of_equal_images(found, inspection)
+    _refuse_equal_images(found, inspection)
     return found
 
 
@@ -53,7 +55,16 @@ def _radiograph(path: Path | None, polarity: Any, where: str, inspection: Inspec
 
     if path is None:
         return None
-    radiograph = inspection.attempt(lambda: read_radiograph(path, polarity), f"{where}.image", where)
+    radiograph = inspection.attempt(lambda: read_radiograph(path, polarity), f"{where}.image", f"{where}.image")
+    if radiograph is not None and min(radiograph.size) < _LEAST_SIDE_PX:
+        inspection.error(
+            f"{where}.image",
+            f"the image is {radiograph.size[0]} x {radiograph.size[1]} px",
+            expected=f"an X-ray of at least {_LEAST_SIDE_PX} px each way",
+            remedy="Is it the right file, at full size?",
+            kind=ImageError,
+        )
+        return None
     for note in radiograph.notes if radiograph else ():
         inspection.warn(f"{where}.image", note.rstrip("."), kind=ImageError)
     return radiograph
@@ -71,12 +82,12 @@ def _field_of_view(radiograph: Radiograph, where: str, inspection: Inspection) -
     return inspection.attempt(lambda: field_of_view(radiograph.pixels), f"{where}.image", where)
 
 
-def _warn_of_equal_images(images: Mapping[str, ViewImages], inspection: Inspection) -> None:
+def _refuse_equal_images(images: Mapping[str, ViewImages], inspection: Inspection) -> None:
     names = list(images)
     for index, name in enumerate(names):
         for other in names[:index]:
             if np.array_equal(images[name].radiograph.pixels, images[other].radiograph.pixels):
-                inspection.warn(
+                inspection.error(
                     f"views.{name}.image",
                     f"the image is the same, pixel for pixel, as that of {other}",
                     expected="an X-ray from another direction",
