@@ -23,8 +23,8 @@ STATUS_WORDS = {
     "confident": StatusWords(
         "✓",
         "Confident",
-        "The screws were paired and registered, and nothing speaks against the answer. "
-        "Look at the overlays before you rely on a pose.",
+        "The marked tips and centres leave no other pairing. How exact the poses are is said below, where it was "
+        "estimated: look at the overlays and the warnings before you rely on one.",
     ),
     "ambiguous": StatusWords(
         "?",
