@@ -112,7 +112,7 @@ def resolve(name):
 
 
 def test_numbers_are_those_of_the_code():
-    rows = re.findall(r"^\| `(screwpose[\w.]*:[\w.]+)` \| ([\d.]+) \|", TEXTS["method.md"], re.M)
+    rows = re.findall(r"^\| `(screwpose[\w.]*:[\w.]+)` \| (-?[\d.]+) \|", TEXTS["method.md"], re.M)
     assert len(rows) >= 20
     for name, number in rows:
         assert resolve(name) == float(number), name
@@ -212,3 +212,20 @@ def test_the_readme_says_what_a_stranger_needs():
     licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
     assert "Apache License" in licence
     assert "END OF TERMS AND CONDITIONS" in licence
+
+
+def test_the_files_page_names_every_key_of_every_format():
+    from screwpose.files import schema_documents
+
+    def keys(schema):
+        for name, below in schema.items():
+            if name == "properties":
+                yield from below
+            if isinstance(below, dict):
+                yield from keys(below)
+
+    text = TEXTS["files.md"]
+    named = {key for schema in schema_documents().values() for key in keys(schema)}
+    assert {"projection", "world_from_cad", "chosen_by", "confident_wrong"} <= named
+    missing = [key for key in sorted(named) if not re.search(rf"\b{key}\b", text)]
+    assert missing == []
