@@ -369,6 +369,12 @@ BAD = {
         ImageError,
         r"views\.AP\.image: the image is 64 x 20 px; expected an X-ray of at least 32 px each way\. Is it the right",
     ),
+    "tip and center of the model swapped": (
+        lambda b: b.data["models"]["box"].update(tip=[0, 22.5, 0], center=[0, 0, 0]),
+        MeshError,
+        r"models\.box\.tip: tip \[0\.0, 22\.5, 0\.0\] and center \[0\.0, 0\.0, 0\.0\] look swapped: the mesh ends "
+        r"at the center, .* Let them change places\.",
+    ),
     "mesh in metres": (
         lambda b: b.meshes.update({"models/box.stl": box_stl([-0.003, 0, -0.003], [0.003, 0.045, 0.003])}),
         MeshError,
@@ -500,3 +506,19 @@ def test_a_folder_without_a_case_is_named(tmp_path):
         read_case(tmp_path)
     with pytest.raises(CaseError, match=r"nothing: there is no such file\. Check the path\."):
         read_case(tmp_path / "nothing")
+
+
+def test_a_matrix_of_nan_is_one_error(builder):
+    builder.view("AP")["projection"] = "HERE"
+    builder.write_raw(builder.text().replace('"HERE"', str([[float("nan")] * 4] * 3).replace("nan", "NaN")))
+    _, findings = inspect_case(builder.file)
+    (error,) = errors_in(findings)
+    assert error.field == "views.AP.projection[0][0]"
+    assert error.problem == "NaN is not a finite number, and so for 11 more of its numbers"
+
+
+def test_equal_mistakes_in_two_matrices_are_two_errors(builder):
+    for view in ("AP", "LAT"):
+        builder.view(view)["projection"][1][1] = 1e300
+    _, findings = inspect_case(builder.write())
+    assert [error.field for error in errors_in(findings)] == ["views.AP.projection[1][1]", "views.LAT.projection[1][1]"]

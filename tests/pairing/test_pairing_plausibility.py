@@ -108,7 +108,7 @@ def test_a_good_case_has_no_findings(seed: int) -> None:
         (
             one_in_metres(good()),
             "CalibrationError",
-            "views.LAT.projection: .*matrix of LAT, unlike the others, is in metres.*last column of this matrix by 1000",
+            "views.LAT.projection: .*matrix of LAT, unlike the others, is in metres.*last column of this matrix by 1",
         ),
         (
             rotations_transposed(good(), ["AP", "LAT"]),

@@ -9,7 +9,7 @@ import numpy as np
 
 from screwpose._types import BoolArray, FloatArray
 from screwpose.errors import CaseError
-from screwpose.files.findings import Finding, errors_in, raise_first, warnings_in
+from screwpose.files.findings import Finding, errors_in, merged, raise_first, warnings_in
 from screwpose.geometry.camera import Camera
 from screwpose.images.radiograph import Radiograph
 from screwpose.implants.model import Implant
@@ -103,7 +103,7 @@ def inspect_case(path: str | Path) -> tuple[Case | None, tuple[Finding, ...]]:
     findings = list(parsed.findings)
     content = validated(parsed.data, CaseFile, file, findings)
     views, implants, annotations, more = _contents(parsed.data, file)
-    findings += more
+    findings = merged([*findings, *more])
     errors, warnings = errors_in(findings), warnings_in(findings)
     if errors or content is None:
         return None, errors + warnings

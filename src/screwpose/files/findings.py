@@ -1,11 +1,14 @@
 """What is wrong, or doubtful, in what was given: findings that can be gathered, listed and raised."""
 
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from screwpose.errors import CaseError, InputError
+
+_NUMBERS = re.compile(r"(.*\b(?:projection|tip|center|pivot|world_from_cad))(?:\[\d+\])+")
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,22 @@ class Finding:
 
     def __str__(self) -> str:
         return str(self.as_error())
+
+
+def merged(findings: Iterable[Finding]) -> list[Finding]:
+    """Several numbers of one matrix or point that are wrong in one way are one mistake: the first stands for all."""
+    groups: dict[tuple[str | None, ...], list[Finding]] = {}
+    for finding in findings:
+        of_numbers = _NUMBERS.fullmatch(finding.field or "")
+        alone = None if of_numbers else str(id(finding))
+        key = (finding.level, of_numbers[1] if of_numbers else finding.field, finding.expected, finding.remedy, alone)
+        groups.setdefault(key, []).append(finding)
+    return [
+        first
+        if not others
+        else replace(first, problem=f"{first.problem}, and so for {len(others)} more of its numbers")
+        for first, *others in groups.values()
+    ]
 
 
 def errors_in(findings: Iterable[Finding]) -> tuple[Finding, ...]:

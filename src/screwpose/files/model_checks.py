@@ -164,6 +164,24 @@ def _check_landmarks(mesh: Mesh, tip_mm: FloatArray, center_mm: FloatArray, wher
             kind=MeshError,
         )
         return False
+    if _is_upside_down(mesh, tip_mm, center_mm):
+        inspection.error(
+            f"{where}.tip",
+            f"tip {tip_mm.tolist()} and center {center_mm.tolist()} look swapped: the mesh ends at the center, and "
+            "goes on beyond the tip",
+            expected="the tip at the pointed end, the center in the middle of the shank",
+            remedy="Let them change places.",
+            kind=MeshError,
+        )
+        return False
     for problem in check_landmarks(mesh, tip_mm, center_mm):
         inspection.warn(where, problem.rstrip("."), kind=MeshError)
     return True
+
+
+def _is_upside_down(mesh: Mesh, tip_mm: FloatArray, center_mm: FloatArray) -> bool:
+    """Whether the centre is an end of the mesh and the tip is not, by more than any guess of a tip is off."""
+    length_mm = float(np.linalg.norm(center_mm - tip_mm))
+    along_mm = (mesh.vertices_mm - tip_mm) @ (center_mm - tip_mm) / length_mm
+    before_mm, behind_mm = -float(along_mm.min()), float(along_mm.max()) - length_mm
+    return before_mm > 0.5 * length_mm and behind_mm < 0.1 * length_mm

@@ -14,6 +14,8 @@ from screwpose._types import FloatArray
 from screwpose.geometry import Camera, triangulate
 
 _FREE_PARAMETERS = 6  # tip and centre
+# Pairs are refused from 60 on; the triangulated points, no least squares in pixels, may be several times worse.
+_HOPELESS_CHI_SQUARE = 1e5
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class SegmentFit:
     tip_mm, center_mm : (3,), world: triangulated by the paper's linear least squares.
     residual_px : root mean square over views and landmarks of the triangulated points' reprojection error.
     measured_length_mm : distance between the triangulated tip and centre.
-    chi_square : of the fit with the known length.
+    chi_square : of the fit with the known length; where it is hopeless (above 1e5), of the triangulated points.
     degrees_of_freedom : 4 V + 1 - 6 for V views.
     """
 
@@ -82,13 +84,16 @@ def fit_segment(
         off_mm = float(np.linalg.norm(ends[1] - ends[0])) - length_mm
         return np.append(np.ravel(off_px) / noise.sigma_px, off_mm / noise.length_sigma_mm)
 
-    fit = least_squares(residuals, start, method="lm", x_scale=1.0)
+    # Rays that pass so far from each other need no fit to be told apart, and would take the longest.
+    chi_square = float(np.sum(residuals(start) ** 2))
+    if chi_square < _HOPELESS_CHI_SQUARE:
+        chi_square = float(2.0 * least_squares(residuals, start, method="lm", x_scale=1.0).cost)
     return SegmentFit(
         tip_mm=tip.point_in_world_mm,
         center_mm=center.point_in_world_mm,
         residual_px=float(np.sqrt((tip.rms_px**2 + center.rms_px**2) / 2)),
         measured_length_mm=float(np.linalg.norm(start[3:] - start[:3])),
-        chi_square=float(2.0 * fit.cost),
+        chi_square=chi_square,
         degrees_of_freedom=4 * len(cameras) + 1 - _FREE_PARAMETERS,
     )
 
