@@ -44,6 +44,7 @@ Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to
 Generations = Annotated[int, typer.Option(min=1, help="Generations of the differential evolution.")]
 Population = Annotated[int, typer.Option(min=1, help="Its population, for each degree of freedom.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same answer.")]
+ImageSize = Annotated[int, typer.Option(min=128, max=4096, help="Width and height of the images, px.")]
 SigmaPx = Annotated[float, typer.Option(min=0.01, help="How exactly landmarks were marked, px (standard deviation).")]
 
 
@@ -70,6 +71,7 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def demo(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")] = Path("screwpose-demo"),
     seed: Seed = 7,
+    size: ImageSize = 1024,
     method: MethodOption = MethodName.default,
     faces: Faces = 1000,
     generations: Generations = 60,
@@ -84,7 +86,7 @@ def demo(
 
     options = _options(method, faces, generations, population, seed, landmark_sigma)
     with shown_progress(quiet or as_json) as progress:
-        result, comparison = run_demo(out, seed, options, progress)
+        result, comparison = run_demo(out, seed, size, options, progress)
     if as_json:
         say_json({"out": str(out), "result": result.answer.model_dump(mode="json", exclude_none=True)})
     elif not quiet:
@@ -149,7 +151,7 @@ def simulate(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the case into.")],
     seed: Seed = 0,
     landmark_noise: Annotated[float, typer.Option(min=0.0, help="Noise of the landmarks, px.")] = 1.5,
-    size: Annotated[int, typer.Option(min=128, max=4096, help="Width and height of the images, px.")] = 1024,
+    size: ImageSize = 1024,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -184,14 +186,14 @@ def bench(
     quiet: Quiet = False,
 ) -> None:
     """Measure a method on cases with known truth: summary.json, the paper's tables, every case's report."""
-    from screwpose.benchmark import run_study, summarise, write_study
+    from screwpose.benchmark import summarise
     from screwpose.benchmark.writing import error_table, outcome_table
+    from screwpose.cli.jobs import run_bench
     from screwpose.cli.words import told_study
 
     options = _options(method, faces, generations, population, seed, landmark_sigma)
     with shown_progress(quiet or as_json) as progress:
-        study = run_study(set_name.value, options, count, seed, out, _of_cases(progress))
-    write_study(study, out)
+        study = run_bench(out, set_name.value, options, count, seed, progress)
     if as_json:
         say_json(summarise(study).model_dump(mode="json", exclude_none=True))
     elif not quiet:
@@ -221,13 +223,6 @@ def inspect_model(
         say_json({"file": str(file), "unit": unit, "picture": str(drawn), **model_facts(report, proposal)})
     elif not quiet:
         typer.echo(told_model(file, unit, report, proposal, drawn))
-
-
-def _of_cases(progress: Any) -> Any:
-    """The library's progress by cases as one bar."""
-    return lambda done, cases, fraction, what: progress(
-        (done + fraction) / cases, f"case {done + 1} of {cases}: {what}"
-    )
 
 
 def _leave_by(status: str) -> None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from screwpose.files.atomic import atomic_folder, ensure_can_write_folder
 from screwpose.files.case import Case, inspect_case, read_case
@@ -12,7 +13,10 @@ from screwpose.registration import Progress
 from screwpose.report.comparison import Comparison
 from screwpose.solve import SolveOptions, solve
 
-_DEMO_NOISE_PX = 1.5
+if TYPE_CHECKING:
+    from screwpose.benchmark import Study
+
+_DEMO_NOISE_PX = 1.5  # on 1024 pixels
 
 
 def solve_files(
@@ -38,7 +42,9 @@ def solve_files(
     return result, comparison
 
 
-def run_demo(out: str | Path, seed: int, options: SolveOptions, progress: Progress) -> tuple[Result, Comparison | None]:
+def run_demo(
+    out: str | Path, seed: int, size_px: int, options: SolveOptions, progress: Progress
+) -> tuple[Result, Comparison | None]:
     """Simulate a two-screw case into ``out/case``, and solve it as a user's case would be.
 
     Everything of it is in `out` afterwards: the case with its truth, the result, the report.
@@ -50,7 +56,10 @@ def run_demo(out: str | Path, seed: int, options: SolveOptions, progress: Progre
     ensure_can_write_folder(out)
     with atomic_folder(out) as partial:
         progress(0.0, "X-raying a simulated patient with two pedicle screws")
-        case_path = write_case(two_screw_scene(seed, landmark_noise_px=_DEMO_NOISE_PX), partial / "case")
+        # A mark is as far off on the detector whatever the pixels' size.
+        noise_px = _DEMO_NOISE_PX * size_px / 1024
+        scene = two_screw_scene(seed, landmark_noise_px=noise_px, image_size=(size_px, size_px))
+        case_path = write_case(scene, partial / "case")
         start = perf_counter()
         case = read_case(case_path)
         loaded = perf_counter() - start
@@ -59,6 +68,28 @@ def run_demo(out: str | Path, seed: int, options: SolveOptions, progress: Progre
         comparison = _compared(case, result, case_path, "simulated")
         write_report(partial, case, result, comparison, lambda fraction, what: progress(0.9 + 0.1 * fraction, what))
     return result, comparison
+
+
+def run_bench(out: Path, set_name: str, options: SolveOptions, count: int, seed: int, progress: Progress) -> "Study":
+    """Run a method on a benchmark set and write its summary, tables and every case.
+
+    Cases are kept as they are done: after an interruption the folder holds them, and the next run takes their place.
+    """
+    from screwpose.benchmark import run_study, write_study
+
+    # A run that was stopped has left its cases and no summary: that is an earlier output too.
+    is_begun = out.is_dir() and {entry.name for entry in out.iterdir()} <= {"cases", "results"}
+    ensure_can_write_folder(out / "cases" / "new" if is_begun else out, marker="summary.json")
+    study = run_study(
+        set_name,
+        options,
+        count,
+        seed,
+        out,
+        lambda done, cases, fraction, what: progress((done + fraction) / cases, f"case {done + 1} of {cases}: {what}"),
+    )
+    write_study(study, out)
+    return study
 
 
 def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Finding, ...]:

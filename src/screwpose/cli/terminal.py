@@ -1,7 +1,10 @@
 """How the command line talks: progress, errors, numbers for machines. One place for all commands."""
 
 import json
+import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -50,10 +53,28 @@ def answers_errors(command: Callable[P, None]) -> Callable[P, None]:
                 say_json({"error": type(error).__name__, "message": str(error), **told})
             else:
                 typer.secho("screwpose: ", fg="red", bold=True, err=True, nl=False)
-                typer.echo(str(error), err=True)
+                typer.echo(plain(str(error)), err=True)
             raise typer.Exit(exit_code_of(error)) from None
 
     return run
+
+
+# What a terminal obeys or lets run backwards: control characters, line and paragraph separators, direction marks.
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+_LONGEST_WORD = 300
+_WIDEST = 100
+
+
+def plain(text: str) -> str:
+    """Words from files, on one line and harmless: a label may hold anything, and a terminal would obey it."""
+    shown = _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return re.sub(rf"(\S{{{_LONGEST_WORD - 3}}})\S{{4,}}", r"\1...", shown)
+
+
+def paragraph(text: str, indent: str = "  ") -> str:
+    """A sentence as wide as the terminal, 80 columns where there is none; further lines are indented."""
+    width = max(40, min(shutil.get_terminal_size((80, 24)).columns, _WIDEST))
+    return textwrap.fill(plain(text), width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def say_json(data: dict[str, Any]) -> None:
@@ -87,7 +108,7 @@ def _bar() -> Iterator[Progress]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         # The words are a file's or a label's: not rich's markup.
-        yield lambda fraction, what: bar.update(task, completed=fraction, description=what.replace("[", r"\["))
+        yield lambda fraction, what: bar.update(task, completed=fraction, description=plain(what).replace("[", r"\["))
 
 
 class _Lines:
@@ -100,4 +121,4 @@ class _Lines:
         tenths = int(fraction * 10)
         if tenths != self._tenths:
             self._tenths = tenths
-            typer.echo(f"{fraction:4.0%}  {what}", err=True)
+            typer.echo(plain(f"{fraction:4.0%}  {what}"), err=True)

@@ -1,12 +1,13 @@
 """What the terminal says: findings, results, models, in plain words."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from screwpose.cli.terminal import paragraph, plain
 from screwpose.files.findings import Finding
 from screwpose.files.schema import ResultFile
 from screwpose.implants.health import MeshReport
@@ -20,34 +21,36 @@ _MEANING = {
     "refused": "no answer: read the warnings",
 }
 DISCLAIMER = "Research software, not a medical device."
+_LONGEST_LABEL = 40
 
 
 def told_result(out: Path, answer: ResultFile) -> str:
     """The answer in a few lines, and where to look."""
-    lines = [f"{answer.case}: {answer.status} ({_MEANING[answer.status]})"]
+    lines = [paragraph(f"{answer.case}: {answer.status} ({_MEANING[answer.status]})")]
     if answer.pairing.pairs:
         sure = "" if answer.pairing.probability is None else f", probability {answer.pairing.probability:.4f}"
-        lines.append(f"Pairing: {pairs_text(answer.pairing.pairs)} ({answer.pairing.status}{sure})")
+        lines.append(paragraph(f"Pairing: {_names(answer.pairing.pairs)} ({answer.pairing.status}{sure})"))
     for screw in answer.screws:
-        name = pairs_text([screw.labels])
         tip, axis = _triple(screw.tip, ".2f"), _triple(screw.axis, ".4f")
-        lines.append(f"  {name}  {screw.model}  tip [{tip}] mm  axis [{axis}]  {screw.status}")
+        lines.append(paragraph(f"  {_names([screw.labels])}: {_short(screw.model)}, {screw.status}", "    "))
+        lines.append(f"    tip [{tip}] mm, axis [{axis}]")
     lines += _told_combinations(answer)
-    lines += [f"Warning: {warning}" for warning in answer.warnings]
+    lines += [paragraph(f"Warning: {warning}") for warning in answer.warnings]
     lines += [f"{answer.timing_s['total']:.1f} s. Open {out / 'report.html'}", DISCLAIMER]
     return "\n".join(lines)
 
 
 def _told_combinations(answer: ResultFile) -> list[str]:
-    """One line a combination: Dice, mean loss and the losses by view, before -> after."""
+    """Of each combination the Dice, the mean loss and the losses by view, before -> after."""
     chosen = chosen_combination(answer)
     lines = []
     for one in answer.combinations:
         stages = [one.pre] if one.post is None else [one.pre, one.post]
         values = {"Dice": [stage.dice for stage in stages], "loss": [stage.loss for stage in stages]}
         values |= {f"loss {view}": [stage.views[view].loss for stage in stages] for view in one.pre.views}
-        told = "  ".join(f"{name} {' -> '.join(f'{v:.3f}' for v in numbers)}" for name, numbers in values.items())
-        lines.append(f"  {'chosen' if one is chosen else 'other '}  {pairs_text(one.pairs)}:  {told}")
+        told = ", ".join(f"{name} {' -> '.join(f'{v:.3f}' for v in numbers)}" for name, numbers in values.items())
+        lines.append(paragraph(f"  {'chosen' if one is chosen else 'other'}: {_names(one.pairs)}", "    "))
+        lines.append(paragraph(f"    {told}", "    "))
     return ["Combinations, before -> after registration:", *lines] if lines else []
 
 
@@ -57,7 +60,7 @@ def told_demo(out: Path, answer: ResultFile, comparison: Comparison | None) -> s
     if comparison is not None:
         lines.append(f"Against the truth ({comparison.origin}):")
         for screw in comparison.screws:
-            name = pairs_text([screw.labels])
+            name = _names([screw.labels])
             if not screw.pairing_right:
                 lines.append(f"  {name}: paired wrong")
             else:
@@ -70,13 +73,27 @@ def told_demo(out: Path, answer: ResultFile, comparison: Comparison | None) -> s
 
 
 def told_findings(case: Path, findings: Sequence[Finding]) -> str:
-    """Each finding on a line, errors first, and how many there are."""
+    """Each finding in a paragraph, errors first, and how many there are."""
     ordered = sorted(findings, key=lambda finding: finding.level != "error")
     errors = sum(finding.level == "error" for finding in findings)
-    verdict = f"{case}: {errors} errors, {len(findings) - errors} warnings"
+    verdict = f"{case}: {_count(errors, 'error')}, {_count(len(findings) - errors, 'warning')}"
     if not findings:
         verdict = f"{case}: nothing wrong was found"
-    return "\n".join([*(f"{finding.level}: {finding}" for finding in ordered), verdict])
+    return "\n".join([*(paragraph(f"{finding.level}: {finding}") for finding in ordered), plain(verdict)])
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _names(pairs: Sequence[Mapping[str, str]]) -> str:
+    """A combination in words, each label and view cut to a readable length."""
+    short = [{_short(view): _short(label) for view, label in labels.items()} for labels in pairs]
+    return plain(pairs_text(short))
+
+
+def _short(name: str) -> str:
+    return plain(name if len(name) <= _LONGEST_LABEL else f"{name[: _LONGEST_LABEL - 3]}...")
 
 
 def told_study(out: Path, tables: Sequence[Table]) -> str:
@@ -98,13 +115,13 @@ def told_model(file: Path, unit: str, report: MeshReport, proposal: LandmarkProp
     closed = "closed" if report.watertight else f"open ({report.open_edges} open edges)"
     lines = [
         f"{file} (read as {unit}): {report.faces} triangles, {report.bodies} bodies, {closed}, {size} mm",
-        *(f"Problem: {problem}" for problem in report.problems),
+        *(paragraph(f"Problem: {problem}") for problem in report.problems),
         f"Landmarks: {proposal.confidence}",
     ]
     if proposal.tip_mm is not None and proposal.center_mm is not None:
         tip, center = ([round(float(x), 3) for x in point] for point in (proposal.tip_mm, proposal.center_mm))
         lines.append(f'  "tip": {tip}, "center": {center}   (mm, CAD frame)')
-    lines += [f"  {note}" for note in proposal.notes]
+    lines += [paragraph(f"  {note}", "    ") for note in proposal.notes]
     for tip_mm, center_mm in proposal.alternatives:
         lines.append(f"  or: tip [{_triple(tip_mm, '.2f')}], center [{_triple(center_mm, '.2f')}]")
     lines.append(f"Picture: {picture}")
