@@ -89,6 +89,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     tell(0.97, "judging")
     trials = sorted(trials, key=_ORDERS[options.method])
     confidence = judge([trial.combination for trial in trials], 0)
+    if confidence.status == "refused":
+        return refused(case, confidence.reasons, clock.read("judging"))
     warnings = [finding.within_file() for finding in warnings_in(findings)]
     if warnings and confidence.status == "confident":
         confidence = replace(confidence, status="ambiguous")

@@ -51,18 +51,17 @@ def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
     Parameters
     ----------
     combinations : all that were considered.
-    chosen : index of the one that the method chose.
+    chosen : index of the one that the method chose. A method that does not ask the landmarks may choose one that they
+        contradict: that is an answer with a low probability. Refused is only where they contradict all.
     """
     probability = float(probabilities(combinations)[chosen])
-    chance = p_value(combinations[chosen])
-    chi_square, freedom = combinations[chosen].chi_square, combinations[chosen].degrees_of_freedom
-    off = f"chi-square {chi_square:.1f} for {freedom} degrees of freedom"
-    if chance < _IMPOSSIBLE_P_VALUE:
+    best = min(combinations, key=lambda combination: combination.chi_square)
+    if p_value(best) < _IMPOSSIBLE_P_VALUE:
         return Confidence(
             "refused",
             probability,
             (
-                f"no pairing explains the landmarks with these projection matrices and models ({off}): "
+                f"no pairing explains the landmarks with these projection matrices and models ({_fit_words(best)}): "
                 "the matrices, the models' lengths or the landmarks are wrong",
             ),
         )
@@ -72,6 +71,11 @@ def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
             f"the landmarks leave the pairing open: the chosen one has a probability of {probability:.3f}, "
             f"{_CONFIDENT_PROBABILITY} is needed to be sure"
         )
-    if chance < _DOUBTFUL_P_VALUE:
-        reasons.append(f"the landmarks are further off than their assumed noise allows ({off})")
+    if p_value(combinations[chosen]) < _DOUBTFUL_P_VALUE:
+        words = _fit_words(combinations[chosen])
+        reasons.append(f"the landmarks are further off than their assumed noise allows ({words})")
     return Confidence("ambiguous" if reasons else "confident", probability, tuple(reasons))
+
+
+def _fit_words(combination: Combination) -> str:
+    return f"chi-square {combination.chi_square:.1f} for {combination.degrees_of_freedom} degrees of freedom"
