@@ -15,8 +15,12 @@ _MARGIN_PX = 8.0
 _SHAPE_TOLERANCE_PX = 4.0
 
 _LEAST_OUTSIDE = 0.003  # of the image: a field that cuts the corners alone leaves more
-_LEAST_SOLIDITY = 0.96  # of the region in its convex hull
+_LEAST_SOLIDITY = 0.92  # of the region in its convex hull
 _LEAST_ON_CIRCLE = 0.6  # of the edge: collimator blades may make the rest
+
+_LEAST_STEP = 12 / 255
+_BLOCKED_SHARPNESS = 0.5  # real images: 0.56 and more, skin of a limb: 0.45 and less
+_DRAWN_SHARPNESS = 0.6
 
 # An image intensifier's glass scatters a halo of up to 25/255 round its field (real biplane images), dense tissue
 # starts near 40/255. The smaller ones are for images whose open beam or tissue is as black as their border.
@@ -27,12 +31,13 @@ def field_of_view(image: Radiograph | ImageArray) -> BoolArray:
     """Find the part of the image that the beam reached: a disc, a collimated rectangle, or all of a flat panel.
 
     The outside is a flat area at one end of the grey range that comes in from the image's border and leaves a convex
-    disc, rectangle or polygon. Both ends are tried: black in the file is BRIGHT here for a metal-dark image, dark for
-    a metal-bright one whose border was blackened afterwards.
+    disc, rectangle or polygon with a sharp edge. A blocked beam is bright here, as metal is. A border that was
+    blackened in a metal-bright file is dark here, and so is open beam: there the shape must be a disc, or its edge as
+    sharp as a drawn one.
 
     Parameters
     ----------
-    image : a Radiograph, or (rows, columns) in [0, 1]; the answer does not depend on the polarity.
+    image : a Radiograph, or (rows, columns), metal bright, in [0, 1].
 
     Returns
     -------
@@ -41,13 +46,14 @@ def field_of_view(image: Radiograph | ImageArray) -> BoolArray:
     """
     pixels = image.pixels if isinstance(image, Radiograph) else np.asarray(image, dtype=np.float32)
     scale = max(pixels.shape) / 1024.0
-    for attenuation in (pixels, 1.0 - pixels):
+    for attenuation, sharpness in ((pixels, _BLOCKED_SHARPNESS), (1.0 - pixels, _DRAWN_SHARPNESS)):
         for level in _LEVELS:
             inside = _inside(attenuation, level, scale)
             if inside is None:
                 continue
-            shape = _regular_shape(inside, scale)
-            if shape is not None:
+            shape, is_round = _regular_shape(inside, scale)
+            least = _BLOCKED_SHARPNESS if is_round else sharpness
+            if shape is not None and _has_sharp_edge(attenuation, shape, scale, least):
                 return _eroded(shape, _MARGIN_PX * scale)
     return np.ones(pixels.shape, dtype=np.bool_)
 
@@ -76,8 +82,8 @@ def _inside(attenuation: NDArray[Any], level: float, scale: float) -> BoolArray 
     return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
 
-def _regular_shape(inside: BoolArray, scale: float) -> BoolArray | None:
-    """Complete the region to the disc, rectangle or convex polygon that it is, or None where it is none of these.
+def _regular_shape(inside: BoolArray, scale: float) -> tuple[BoolArray | None, bool]:
+    """Complete the region to the disc, rectangle or convex polygon that it is (None: it is none), and whether a disc.
 
     Tissue as black as the outside bites into the region. The convex hull bridges a bite by a chord that the region
     itself does not touch; where the rest of the edge lies on a circle or a rectangle, what the chord cut off is given
@@ -89,11 +95,11 @@ def _regular_shape(inside: BoolArray, scale: float) -> BoolArray | None:
     hull = cv2.convexHull(np.concatenate(contours))
     convex = _filled(hull, inside.shape)
     if inside.sum() < _LEAST_SOLIDITY * convex.sum() or convex.mean() > 1.0 - _LEAST_OUTSIDE:
-        return None
+        return None, False
     box = cv2.boxPoints(cv2.minAreaRect(hull))
     rectangle = _filled(np.round(box), inside.shape)
     if convex.sum() > 0.98 * rectangle.sum():
-        return rectangle
+        return rectangle, False
     corners = hull[:, 0, :].astype(np.float64)
     tolerance = _SHAPE_TOLERANCE_PX * scale
     off_outline_px = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5) + cv2.distanceTransform(
@@ -111,7 +117,7 @@ def _regular_shape(inside: BoolArray, scale: float) -> BoolArray | None:
                 convex |= _segment_beyond(chord, circle, corners.mean(axis=0), inside.shape)
         contours, _ = cv2.findContours(convex.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         convex = _filled(cv2.convexHull(np.concatenate(contours)), inside.shape)
-    return convex
+    return convex, circle is not None
 
 
 def _filled(polygon: NDArray[Any], shape: tuple[int, ...]) -> BoolArray:
@@ -180,6 +186,42 @@ def _segment_beyond(
     side_of_centre = (centre[0] - u0) * (v1 - v0) - (centre[1] - v0) * (u1 - u0)
     disc = (u - circle[0]) ** 2 + (v - circle[1]) ** 2 <= circle[2] ** 2
     return np.asarray(disc & (side * side_of_centre < 0))
+
+
+def _has_sharp_edge(attenuation: NDArray[Any], region: BoolArray, scale: float, least: float) -> bool:
+    """Whether most of the region's edge is a step, as a shutter or a blackened border makes.
+
+    The skin of a limb in a saturated beam also leaves flat areas on both sides of a convex shape, and towers stand in
+    them. But there the attenuation begins like a root: over 36 px of the profile no 4 px hold most of the change.
+    """
+    import cv2
+
+    distance = cv2.GaussianBlur(region.astype(np.float32), (0, 0), 6.0 * scale, borderType=cv2.BORDER_REPLICATE)
+    normal_u, normal_v = cv2.Scharr(distance, cv2.CV_32F, 1, 0), cv2.Scharr(distance, cv2.CV_32F, 0, 1)
+    edge = cv2.erode(region.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) != region
+    v, u = np.nonzero(edge)
+    if len(u) == 0:
+        return False
+    points = np.linspace(0, len(u) - 1, min(len(u), 400)).astype(int)
+    v, u = v[points], u[points]
+    length = np.hypot(normal_u[v, u], normal_v[v, u]) + 1e-9
+    along_px = np.arange(-40.0, 41.0) * max(scale, 0.5)
+    profile = cv2.remap(
+        attenuation,
+        (u[:, None] + along_px * (normal_u[v, u] / length)[:, None]).astype(np.float32),
+        (v[:, None] + along_px * (normal_v[v, u] / length)[:, None]).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    # The outline may lie some px off the edge: look round the steepest place of each profile.
+    steps = np.abs(profile[:, 4:] - profile[:, :-4])
+    centre = np.clip(steps[:, 16:-16].argmax(axis=1) + 16, 16, 60)
+    around = np.take_along_axis(profile, centre[:, None] + 2 + np.arange(-18, 19), axis=1)
+    change = np.ptp(around, axis=1)
+    if np.median(change) <= _LEAST_STEP:
+        return False
+    share = steps.max(axis=1) / np.maximum(change, _LEAST_STEP)
+    return bool(np.median(share[change > _LEAST_STEP]) > least)
 
 
 def _eroded(region: BoolArray, margin_px: float) -> BoolArray:

@@ -64,7 +64,7 @@ def detect_polarity(grey: ImageArray) -> Polarity:
     Polarity; ``decided`` is False where the cues disagree or there is nothing to see.
     """
     grey = np.asarray(grey, dtype=np.float32)
-    field = field_of_view(grey)
+    field = field_of_view(1.0 - grey)
     score = _border_cue(grey, field) + _content_score(*_reduced(grey, field))
     return Polarity("metal-dark" if score >= 0.0 else "metal-bright", float(score), abs(score) >= _LEAST_SCORE)
 

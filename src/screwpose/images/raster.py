@@ -18,6 +18,8 @@ from screwpose.images.greys import Greys, NumberArray, grey_range, single_channe
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 
+# Mark, header, one empty data chunk and the end: below that the decoder reports whatever its memory holds.
+_LEAST_PNG_BYTES = 8 + 25 + 12 + 12
 _MINISWHITE, _PALETTE = 0, 3
 _RE_EXPORT = "Export or copy the file again."
 
@@ -30,18 +32,32 @@ def png_greys(data: bytes, path: Path, frame: int | None) -> Greys:
     ImageError
         Damaged, coloured, or another frame than 0 asked for.
     """
-    import imagecodecs
-
     refuse_absent_frame(frame, 1, path)
-    try:
-        array: NumberArray = imagecodecs.png_decode(data)
-    except imagecodecs.PngError as error:
-        raise ImageError(
-            f"it cannot be decoded as PNG ({error})", file=path, expected="a whole PNG file", remedy=_RE_EXPORT
-        ) from error
+    array = decoded_png(data, path)
     values, notes = single_channel(array, path)
     black, white, bits, more = grey_range(values, 8 * values.itemsize, path)
     return Greys(values, black, white, bits, notes + more)
+
+
+def decoded_png(data: bytes, path: Path) -> NumberArray:
+    """The pixels of a PNG: (rows, columns[, channels]); palettes are looked up.
+
+    Raises
+    ------
+    ImageError
+        Damaged.
+    """
+    import imagecodecs
+
+    try:
+        if len(data) < _LEAST_PNG_BYTES:
+            raise ValueError("it ends too early")
+        return np.asarray(imagecodecs.png_decode(data))
+    except (imagecodecs.PngError, ValueError, MemoryError) as error:
+        reason = str(error) or "it does not fit into memory"
+        raise ImageError(
+            f"it cannot be decoded as PNG ({reason})", file=path, expected="a whole PNG file", remedy=_RE_EXPORT
+        ) from error
 
 
 def tiff_greys(data: bytes, path: Path, frame: int | None) -> Greys:
@@ -60,7 +76,12 @@ def tiff_greys(data: bytes, path: Path, frame: int | None) -> Greys:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             pages = [page for page in file.pages if not _is_side_image(page)]
             if not pages:
-                raise ImageError("this TIFF holds no image", file=path, expected="at least one page")
+                raise ImageError(
+                    "this TIFF holds no image, or is cut off",
+                    file=path,
+                    expected="at least one page",
+                    remedy=_RE_EXPORT,
+                )
             index = refuse_absent_frame(frame, len(pages), path)
             page: Any = pages[index]
             if page.imagedepth > 1:

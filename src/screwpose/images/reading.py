@@ -11,7 +11,7 @@ from screwpose.images.dicom import dicom_greys, has_dicom_preamble, looks_like_d
 from screwpose.images.greys import Greys, refuse_one_value
 from screwpose.images.polarity import detect_polarity
 from screwpose.images.radiograph import Radiograph
-from screwpose.images.raster import PNG_MAGIC, TIFF_MAGICS, png_greys, tiff_greys
+from screwpose.images.raster import PNG_MAGIC, TIFF_MAGICS, decoded_png, png_greys, tiff_greys
 
 PolarityChoice: TypeAlias = Literal["metal-dark", "metal-bright", "auto"]
 
@@ -167,17 +167,7 @@ def _metal_shown_bright(polarity: PolarityChoice, greys: Greys, shown: np.ndarra
 
 
 def _not_black_png(data: bytes, path: Path) -> BoolArray:
-    import imagecodecs
-
-    try:
-        array = np.asarray(imagecodecs.png_decode(data))
-    except imagecodecs.PngError as error:
-        raise ImageError(
-            f"it cannot be decoded as PNG ({error})",
-            file=path,
-            expected="a whole PNG file",
-            remedy="Export or copy the file again.",
-        ) from error
+    array = decoded_png(data, path)
     if array.ndim == 3:
         array = array[..., : 1 if array.shape[2] <= 2 else 3].max(axis=2)
     return np.asarray(array != 0)

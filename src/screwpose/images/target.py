@@ -19,9 +19,10 @@ from screwpose.images.preparation import carried_outwards, log_image, smoothed
 
 # Lengths are for an image whose longer side is 1024 px, and grow with it.
 _WORKING_PX = 512  # longer side on which pieces are sought; outlines are refined on the full image
-_RADII_PX = (12.0, 30.0, 70.0)  # half widths that the top-hats keep: shank, tower, knee
+_RADII_PX = (12.0, 30.0, 70.0, 110.0)  # half widths that the top-hats keep: shank, tower, two towers, knee
 _LEVELS = 24
-_LEAST_LEVEL = 0.02
+_LEAST_LEVEL = 0.02  # of a top-hat; 1 is what leaves 3/255 of the beam
+_LEAST_OVER_NOISE = 3.0  # levels and outlines below this many medians are noise
 _LARGEST_HOLE_PX2 = 24_000.0  # a tower's inside between its walls, seen from the side
 _LEAST_AREA_PX2 = 60.0
 _BAND_PX = 4.0
@@ -36,7 +37,7 @@ _AROUND_PX = 40.0
 _FLOOR_SHARE = 0.03
 _FLOOR_NOISE = 1.5
 _LEAST_GAIN_KEPT = 0.6  # by a piece that replaces those in it
-_LEAST_MEAN_KEPT = 0.9
+_LEAST_MEAN_KEPT = 0.85
 _LEAST_GAIN_PX = 50.0  # steep outline that a piece must have, net of outline that is not
 
 
@@ -67,24 +68,35 @@ def metal_target(pixels: ImageArray, region: BoolArray, near: BoolArray | None =
     pixels : (rows, columns), metal bright, in [0, 1].
     region : (rows, columns), M_bg: what lies outside is never metal.
     near : (rows, columns), where the implants in question are, with a margin of some tens of px, or None for
-        everywhere. With it each place has its own scale of what is dark and steep, so that a tower that is pale over
-        air stays one with its screw; other metal (table, retractor, markers) is left out.
+        everywhere: then it is made from a first pass. With it each place has its own scale of what is dark and steep,
+        so that a tower that is pale over air stays one with its screw. Metal outside (table, retractor) is left out.
 
     Returns
     -------
     (rows, columns). All false where no outline is steep enough. Holes up to a tower's inside are filled.
     """
-    wanted = region if near is None else region & near
-    if not wanted.any():
-        return np.zeros(region.shape, dtype=np.bool_)
-    window = _window(wanted, margin_px=round(_RADII_PX[-1] * _scale(pixels.shape)))
-    scale = _scale(pixels.shape)
-    attenuation = log_image(pixels)[window]
-    metal = _pieces_of_metal(attenuation, region[window], wanted[window], near is not None, scale)
-    metal = _refined(smoothed(attenuation, 0.8 * scale), metal, region[window], scale)
+    if near is None:
+        first = _metal(pixels, region, region, hinted=False)
+        return _metal(pixels, region, region & _grown(first, _AROUND_PX * _scale(pixels.shape)), hinted=True)
+    return _metal(pixels, region, region & near, hinted=True)
+
+
+def _metal(pixels: ImageArray, region: BoolArray, wanted: BoolArray, hinted: bool) -> BoolArray:
     result = np.zeros(region.shape, dtype=np.bool_)
-    result[window] = metal & wanted[window]
+    if not wanted.any():
+        return result
+    scale = _scale(pixels.shape)
+    window = _window(wanted, margin_px=round(_RADII_PX[-1] * scale))
+    metal = _pieces_of_metal(log_image(pixels[window]), region[window], wanted[window], hinted, scale)
+    absorbed = smoothed(np.asarray(pixels[window], dtype=np.float32), 0.8 * scale)
+    result[window] = _refined(absorbed, metal, region[window], scale) & wanted[window]
     return result
+
+
+def _grown(mask: BoolArray, radius_px: float) -> BoolArray:
+    import cv2
+
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 5) <= radius_px) & mask.any()
 
 
 def _scale(shape: tuple[int, ...]) -> float:
@@ -118,7 +130,7 @@ def _pieces_of_metal(
     families = [list(_cuts(hat, inside, unit)) for hat in hats]
     steepest = _steepest_outlines(families, steepness, sought, unit)
     metal = np.zeros(small.shape, dtype=np.bool_)
-    if steepest > 0:
+    if steepest > _LEAST_OVER_NOISE * float(np.median(steepness[sought])):
         floor = _FLOOR_SHARE * steepest + _FLOOR_NOISE * float(np.median(steepness[sought]))
         neutral = _STEEP_SHARE * (_peak_around(steepness, sought, floor, unit) if hinted else steepest)
         gain = np.minimum(steepness / neutral, _STEEP_CAP) - 1.0
@@ -137,12 +149,17 @@ def _steepness(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _top_hats(image: NDArray[Any], unit: float) -> Iterator[NDArray[Any]]:
+    """The image less its opening by discs; wide openings are smooth and computed on a reduced grid."""
     import cv2
 
     for radius in _RADII_PX:
-        size = 2 * max(1, round(radius * unit)) + 1
+        step = max(1, int(radius * unit / 12.0))
+        reduced = (max(1, image.shape[1] // step), max(1, image.shape[0] // step))
+        size = 2 * max(1, round(radius * unit / step)) + 1
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        yield np.asarray(image - cv2.morphologyEx(image, cv2.MORPH_OPEN, kernel))
+        opened = cv2.morphologyEx(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), cv2.MORPH_OPEN, kernel)
+        opened = cv2.resize(opened, image.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        yield np.maximum(image - opened, 0.0)
 
 
 def _cuts(hat: NDArray[Any], inside: BoolArray, unit: float) -> Iterator[_Cut]:
@@ -150,11 +167,12 @@ def _cuts(hat: NDArray[Any], inside: BoolArray, unit: float) -> Iterator[_Cut]:
     import cv2
 
     top = float(np.percentile(hat[inside], 99.95))
-    if top <= 0:
+    lowest = max(_LEAST_LEVEL, 0.05 * top, _LEAST_OVER_NOISE * float(np.median(hat[inside])))
+    if lowest >= top:
         return
     largest_hole = _LARGEST_HOLE_PX2 * unit**2
     cross = np.ones((3, 3), np.uint8)
-    for level in np.geomspace(0.97 * top, max(_LEAST_LEVEL, 0.05 * top), _LEVELS):
+    for level in np.geomspace(0.97 * top, lowest, _LEVELS):
         above = ((hat > level) & inside).astype(np.uint8)
         _, gaps, gap_boxes, _ = cv2.connectedComponentsWithStats(1 - above, connectivity=4)
         is_hole = gap_boxes[:, cv2.CC_STAT_AREA] <= largest_hole
@@ -267,8 +285,11 @@ def _add_pieces(metal: BoolArray, pieces: list[_Piece], sought: BoolArray, unit:
             metal[part] |= piece.mask
 
 
-def _refined(attenuation: ImageArray, metal: BoolArray, region: BoolArray, scale: float) -> BoolArray:
-    """Put the outline where the attenuation is half-way between metal and surroundings, each as it is near by."""
+def _refined(absorbed: ImageArray, metal: BoolArray, region: BoolArray, scale: float) -> BoolArray:
+    """Put the outline where the intensity is half-way between metal and surroundings, each as it is near by.
+
+    The detector blurs intensity: half-way in its logarithm would lie inside the outline of thick metal.
+    """
     import cv2
 
     size = 2 * max(1, round(_BAND_PX * scale)) + 1
@@ -276,12 +297,12 @@ def _refined(attenuation: ImageArray, metal: BoolArray, region: BoolArray, scale
     mask = metal.astype(np.uint8)
     wide = cv2.dilate(mask, disc)
     core = cv2.erode(mask, disc, borderValue=1)
-    inner, inner_weight = _local_mean(attenuation, core != 0, scale)
-    thin, thin_weight = _local_mean(attenuation, metal, scale)
+    inner, inner_weight = _local_mean(absorbed, core != 0, scale)
+    thin, thin_weight = _local_mean(absorbed, metal, scale)
     inner = np.where(inner_weight > 0.02, inner, thin)
-    outer, outer_weight = _local_mean(attenuation, (wide == 0) & region, scale)
+    outer, outer_weight = _local_mean(absorbed, (wide == 0) & region, scale)
     sure = (wide != 0) & (core == 0) & (thin_weight > 0) & (outer_weight > 0) & (inner > outer)
-    return np.where(sure, attenuation > 0.5 * (inner + outer), metal) & region
+    return np.where(sure, absorbed > 0.5 * (inner + outer), metal) & region
 
 
 def _local_mean(image: ImageArray, where: BoolArray, scale: float) -> tuple[NDArray[Any], NDArray[Any]]:
