@@ -139,6 +139,8 @@ def test_unused_bits_and_sign(tmp_path: Path) -> None:
     np.testing.assert_allclose(pixels(saved(tmp_path / "a.dcm", dataset(dirty))), STORED / 4095, atol=1e-7)
     shifted = dataset((STORED << 4) | np.uint16(0xF), HighBit=15)  # 12 bits at the upper end: legal before 2014
     np.testing.assert_allclose(pixels(saved(tmp_path / "b.dcm", shifted)), STORED / 4095, atol=1e-7)
+    middle = dataset((STORED << 2) | np.uint16(0xC003), HighBit=13)
+    np.testing.assert_allclose(pixels(saved(tmp_path / "d.dcm", middle)), STORED / 4095, atol=1e-7)
     signed = np.array([[-2048, -1], [0, 2047]], dtype=np.int16)
     packed = (signed.view(np.uint16) & 0x0FFF).view(np.int16)
     got = read_radiograph(saved(tmp_path / "c.dcm", dataset(packed)), "metal-bright")
