@@ -105,7 +105,7 @@ def test_rod_that_leaves_a_flat_panel() -> None:
     assert field_of_view(image).all()
 
 
-@pytest.mark.parametrize("name", [f"{i:03d}_{view}" for i in (0, 32, 64, 112) for view in "AB"])
+@pytest.mark.parametrize("name", [f"{i:03d}_{view}" for i in (0, 64) for view in "AB"])
 def test_real_biplane(name: str) -> None:
     """The same intensifiers in all pairs: read off the files, the edge lies 495 to 540 px from the image's centre."""
     found = field_of_view(read_radiograph(shared_data(f"jtml_biplane/images/{name}.png"), "metal-dark"))
