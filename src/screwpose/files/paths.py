@@ -25,13 +25,13 @@ def path_inside(folder: Path, name: str, *, case: Path, field: str, kind: type[I
         Of the given kind: there is no such file.
     """
     _refuse_foreign_spelling(name, case, field)
-    folder = folder.resolve()
+    given, folder = folder, folder.resolve()
     depth = 0
     for part in PurePosixPath(name).parts:
         depth += -1 if part == ".." else 1
         if depth < 0:
             raise _leaves(name, case, field)
-    path = folder / name
+    path = given / name  # messages name places as the caller does
     target = path.resolve()
     if not target.is_relative_to(folder):
         raise _leaves(name, case, field, f" through a link, to {target}")
@@ -41,7 +41,7 @@ def path_inside(folder: Path, name: str, *, case: Path, field: str, kind: type[I
         raise kind(f"`{name}` is a folder", file=case, field=field, expected="a file")
     if target.exists():
         raise kind(f"`{name}` is neither a file nor a folder", file=case, field=field, expected="a file")
-    raise kind(f"there is no file `{name}` in {folder}", file=case, field=field, remedy=_remedy(path, folder))
+    raise kind(f"there is no file `{name}` in {given}", file=case, field=field, remedy=_remedy(path, given))
 
 
 def _refuse_foreign_spelling(name: str, case: Path, field: str) -> None:
