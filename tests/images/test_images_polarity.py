@@ -60,6 +60,19 @@ def test_screws_with_towers(seed: int) -> None:
     np.testing.assert_allclose(opposite.score, -found.score, rtol=0.05)
 
 
+def test_content_alone_decides() -> None:
+    """No border and no saturated beam in the picture: it is the implants that tell."""
+    grey, _ = spine_with_screws(4)
+    cut = grey[:, :600]
+    assert cut.max() < 1
+    found = detect_polarity(cut)
+    assert (found.polarity, found.decided) == ("metal-dark", True)
+    knee = shown(shared_data("jtml_biplane/images/000_B.png"))[440:860, 460:760]
+    assert (knee < 1).mean() > 0.98
+    found = detect_polarity(knee)
+    assert (found.polarity, found.decided) == ("metal-dark", True)
+
+
 def test_white_border_says_inverted() -> None:
     grey, _ = spine_with_screws(3, 512)
     u, v = grid(512)
