@@ -47,7 +47,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
 
     Parameters
     ----------
-    progress : called as ``progress(fraction, what)`` many times a second; raise CancelledError in it to stop.
+    progress : called as ``progress(fraction, what)`` after every step and every generation of the search, about once a
+        second with the defaults; raise CancelledError in it to stop.
 
     Returns
     -------

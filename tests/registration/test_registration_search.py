@@ -37,7 +37,7 @@ def scene_targets(poses: list[np.ndarray]) -> dict:
 
 TRUTH = rigid.exp(np.array([0.1, 0.5, 0.2, 1.0, 2.0, -3.0]))
 START = moved(IMPLANT, TRUTH, np.array([0.12, -0.05, 0.04, 1.5, -1.2, 1.8]))
-OPTIONS = SearchOptions(generations=40, population=6, seed=3)
+OPTIONS = SearchOptions(max_shift_mm=3.0, generations=40, population=6, seed=3)
 
 
 def test_moved_turns_about_the_centre_by_hand() -> None:

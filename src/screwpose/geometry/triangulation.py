@@ -95,7 +95,7 @@ def triangulate(cameras: Sequence[Camera], pixels: FloatArray) -> Triangulation:
     A, b = linear_system(cameras, pixels)
     solution, _, _, singular_values = np.linalg.lstsq(A, b, rcond=None)
     point = np.asarray(solution, dtype=np.float64)
-    # Where the camera's P is left-handed the rays may point backwards; the perpendicular distance does not care.
+    # A ray is a line here: its perpendicular distance does not ask in which direction it runs.
     offsets = point - np.array([camera.center_in_world_mm for camera in cameras])
     across = offsets - np.sum(offsets * directions, axis=1, keepdims=True) * directions
     return Triangulation(

@@ -143,7 +143,6 @@ def _screws(
     screws, doubts = [], []
     for index, (hypothesis, pose) in enumerate(zip(combination.hypotheses, poses, strict=True)):
         implant = evidence.implants[hypothesis.model]
-        name = " = ".join(f"{view} {label}" for view, label in hypothesis.labels)
         words = []
         worst_view = min(post[index].views, key=lambda view, i=index: post[i].views[view].dice)  # type: ignore[misc]
         worst_dice = post[index].views[worst_view].dice
@@ -155,12 +154,14 @@ def _screws(
             if score.loss > _CHECK_LOSS
         ]
         if trial.found is not None and trial.found.at_bound[index]:
-            words.append("the search ended near its bounds: the landmarks started it too far off")
+            words.append(
+                "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
+            )
         for view, offsets in landmark_offsets_px(case, implant, hypothesis.by_view, pose).items():
             far_px = float(np.abs(offsets).max())
             if far_px > _FAR_MARK_SIGMAS * noise.sigma_px:
                 words.append(f"the registered model is {far_px:.0f} px from its landmarks in {view}")
-        doubts += [f"screw {name}: {word}" for word in words]
+        doubts += [f"screw {hypothesis.name}: {word}" for word in words]
         screws.append(
             ScrewResultFile(
                 labels=hypothesis.by_view,
@@ -170,7 +171,7 @@ def _screws(
                 tip=as_point3(rigid.transform(pose, implant.tip_mm)),
                 center=as_point3(rigid.transform(pose, implant.center_mm)),
                 axis=as_point3(pose[:3, :3] @ implant.axis),
-                scores=ScrewScores(pre=_scores(pre[index]), post=_scores(post[index])),
+                scores=ScrewScores(pre=_scores(pre[index]), post=None if trial.found is None else _scores(post[index])),
             )
         )
     return tuple(screws), doubts

@@ -19,6 +19,7 @@ _CONFIDENT_PROBABILITY = 0.99
 # Landmarks this unlikely under the assumed noise are doubted, and at the second limit not believed at all.
 _DOUBTFUL_P_VALUE = 1e-3
 _IMPOSSIBLE_P_VALUE = 1e-12
+_SURE_MODEL_MARGIN = 9.2  # in chi-square, between two models of one screw: odds of 100 to 1
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,35 @@ def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
     if p_value(combinations[chosen]) < _DOUBTFUL_P_VALUE:
         words = _fit_words(combinations[chosen])
         reasons.append(f"the landmarks are further off than their assumed noise allows ({words})")
+    reasons += _doubtful_pairs(combinations[chosen])
+    reasons += _open_models(combinations[chosen])
     return Confidence("ambiguous" if reasons else "confident", probability, tuple(reasons))
+
+
+def _doubtful_pairs(combination: Combination) -> list[str]:
+    """Single screws that their landmarks contradict: many good pairs would hide one in the sum."""
+    from scipy.stats import chi2
+
+    reasons = []
+    for hypothesis in combination.hypotheses:
+        fit = hypothesis.fit
+        chance = float(chi2.sf(fit.chi_square, fit.degrees_of_freedom)) * len(combination.hypotheses)
+        if chance < _DOUBTFUL_P_VALUE:
+            reasons.append(
+                f"screw {hypothesis.name}: its landmarks fit each other badly (chi-square {fit.chi_square:.1f} for "
+                f"{fit.degrees_of_freedom} degrees of freedom): are they of one screw?"
+            )
+    return reasons
+
+
+def _open_models(combination: Combination) -> list[str]:
+    """Screws whose model the landmarks leave open."""
+    return [
+        f"screw {hypothesis.name}: the landmarks fit the model {hypothesis.runner_up} nearly as well as "
+        f"{hypothesis.model}; name the model in its annotation"
+        for hypothesis in combination.hypotheses
+        if hypothesis.runner_up is not None and hypothesis.runner_up_margin < _SURE_MODEL_MARGIN
+    ]
 
 
 def _fit_words(combination: Combination) -> str:

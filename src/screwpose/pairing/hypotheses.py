@@ -12,18 +12,34 @@ from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
 
 # A pair so far from its landmarks (15 px in one of them at 2 px of noise) is no pair: two marks of different screws.
 _NO_PAIR_CHI_SQUARE = 60.0
-_MOST_ASSIGNMENTS = 400  # ranked after each view, so that the k best that pair as many screws as the best are there
+# Assignments with fewer pairs rank among those with all, so more are ranked than are asked for; with more than two
+# views every one of them is continued, so fewer.
+_RANKED_OF_TWO_VIEWS = 400
+_RANKED_OF_MORE = 24
 Labels = tuple[tuple[str, str], ...]
 """One screw's labels: (view, label) for each view in which it was marked, in the order of the views."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """One screw: what it is called in each view, which model it is, and the segment that its marks give."""
+    """One screw: what it is called in each view, which model it is, and the segment that its marks give.
+
+    Parameters
+    ----------
+    runner_up : where the annotations leave the model open, the one that fits next best.
+    runner_up_margin : how much larger its chi-square is.
+    """
 
     labels: Labels
     model: str
     fit: SegmentFit
+    runner_up: str | None = None
+    runner_up_margin: float = np.inf
+
+    @property
+    def name(self) -> str:
+        """The screw in words: ``AP 1 = LAT b``."""
+        return " = ".join(f"{view} {label}" for view, label in self.labels)
 
     @property
     def by_view(self) -> dict[str, str]:
@@ -86,17 +102,22 @@ class HypothesisTable:
         named = {mark.model for mark in marks if mark.model is not None}
         if len(named) > 1:
             return None  # marked as two different models: not one screw
-        fitted = []
+        fits = {}
         for name in sorted(named) or self._case.implants:
             try:
-                fit = fit_segment(cameras, tips, centers, self._case.implants[name].length_mm, self._noise)
+                fits[name] = fit_segment(cameras, tips, centers, self._case.implants[name].length_mm, self._noise)
             except GeometryError:
                 return None  # parallel rays, or they meet behind a source: for every model alike
-            fitted.append(Hypothesis(labels, name, fit))
-        return min(fitted, key=lambda hypothesis: hypothesis.fit.chi_square)
+        best, *others = sorted(fits, key=lambda name: fits[name].chi_square)
+        if not others:
+            return Hypothesis(labels, best, fits[best])
+        margin = fits[others[0]].chi_square - fits[best].chi_square
+        return Hypothesis(labels, best, fits[best], others[0], margin)
 
 
-def combinations(case: Case, noise: LandmarkNoise, count: int) -> list[Combination]:
+def combinations(
+    case: Case, noise: LandmarkNoise, count: int, table: HypothesisTable | None = None
+) -> list[Combination]:
     """The pairings that explain the landmarks best, best first.
 
     View after view, every screw found so far is given a mark of the next view or none. All that are returned pair as
@@ -105,14 +126,18 @@ def combinations(case: Case, noise: LandmarkNoise, count: int) -> list[Combinati
     Parameters
     ----------
     count : at most so many. Two screws in two views have two, three have six; all of them are then returned.
+    table : the case's hypotheses, where they were fitted before.
     """
-    table = HypothesisTable(case, noise)
+    table = table or HypothesisTable(case, noise)
+    ranked = _RANKED_OF_TWO_VIEWS if len(case.views) == 2 else _RANKED_OF_MORE
     first, *others = case.views
     beam = [_Tracks(tuple(((first, mark.label),) for mark in case.annotations[first]), 0.0)]
     for view in others:
         labels = [mark.label for mark in case.annotations[view]]
-        beam = sorted((longer for tracks in beam for longer in _extended(table, tracks, view, labels)), key=_by_cost)
-        beam = beam[:_MOST_ASSIGNMENTS]
+        beam = sorted(
+            (longer for tracks in beam for longer in _extended(table, tracks, view, labels, ranked)), key=_by_cost
+        )
+        beam = beam[:ranked]
     found = [_combination(table, case, tracks.screws) for tracks in beam]
     screws = len(found[0].hypotheses) if found else 0
     return [one for one in found if screws and len(one.hypotheses) == screws][:count]
@@ -130,7 +155,7 @@ def _by_cost(tracks: _Tracks) -> float:
     return tracks.cost
 
 
-def _extended(table: HypothesisTable, tracks: _Tracks, view: str, labels: Sequence[str]) -> list[_Tracks]:
+def _extended(table: HypothesisTable, tracks: _Tracks, view: str, labels: Sequence[str], ranked: int) -> list[_Tracks]:
     """Every way, cheapest first, to continue the screws with the marks of one more view."""
     costs = np.array(
         [
@@ -139,7 +164,7 @@ def _extended(table: HypothesisTable, tracks: _Tracks, view: str, labels: Sequen
         ]
     ).reshape(len(tracks.screws), len(labels))
     longer = []
-    for assignment in cheapest_assignments(costs, _NO_PAIR_CHI_SQUARE, _MOST_ASSIGNMENTS):
+    for assignment in cheapest_assignments(costs, _NO_PAIR_CHI_SQUARE, ranked):
         continued = [
             screw if column is None else (*screw, (view, labels[column]))
             for screw, column in zip(tracks.screws, assignment.columns, strict=True)

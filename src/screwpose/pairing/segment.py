@@ -13,6 +13,7 @@ import numpy as np
 from screwpose._types import FloatArray
 from screwpose.geometry import Camera, triangulate
 
+_LEAST_DEPTH_MM = 1e-6  # a trial step at the source itself gives a huge residual, not a division by zero
 _FREE_PARAMETERS = 6  # tip and centre
 # Pairs are refused from 60 on; the triangulated points, no least squares in pixels, may be several times worse.
 _HOPELESS_CHI_SQUARE = 1e5
@@ -101,4 +102,5 @@ def fit_segment(
 def _project_anywhere(camera: Camera, points_mm: FloatArray) -> FloatArray:
     """Projection (N, 2) without the test of the depth: a trial step of the fit may pass behind a source."""
     homogeneous = points_mm @ camera.projection[:, :3].T + camera.projection[:, 3]
-    return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:], dtype=np.float64)
+    depth = np.where(np.abs(homogeneous[:, 2:]) < _LEAST_DEPTH_MM, _LEAST_DEPTH_MM, homogeneous[:, 2:])
+    return np.asarray(homogeneous[:, :2] / depth, dtype=np.float64)

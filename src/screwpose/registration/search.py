@@ -59,7 +59,7 @@ class SearchResult:
     loss : mean gradient correlation loss over the views.
     evaluations : how many scenes were projected.
     at_bound : for each screw, whether a degree of freedom ended in the last tenth before its bound: the start was
-        too far off.
+        too far off, or the loss drew it away.
     """
 
     world_from_cad: tuple[FloatArray, ...]
