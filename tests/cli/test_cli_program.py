@@ -2,9 +2,11 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -12,6 +14,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from screwpose import __version__
+from screwpose.benchmark import study
+from screwpose.benchmark.sets import get_set
 from screwpose.cli import app, terminal
 from screwpose.errors import CancelledError, OutputError
 from tests.cli import bad_inputs as bad
@@ -119,7 +123,7 @@ def test_solve_for_machines_replaces_an_earlier_output(case: CaseFolder) -> None
 
 @pytest.fixture
 def cheap(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """A search that ends at once and a report that is one file; lists which of them were reached."""
+    """A report that is one file; lists how often it was reached."""
     reached: list[str] = []
 
     def write(folder: Path, *_: object) -> None:
@@ -187,10 +191,9 @@ def foreign_folder() -> Path:
 @pytest.mark.parametrize("command", ["solve", "demo", "simulate", "bench"])
 def test_a_foreign_folder_is_refused_before_the_work(case: CaseFolder, command: str) -> None:
     out = foreign_folder()
-    start = perf_counter()
     result = program(command, *([case.folder] if command == "solve" else []), "-o", out)
-    assert perf_counter() - start < 2.0
     assert result.exit_code == 4
+    assert len(result.stderr.splitlines()) == 1  # no progress: no work
     assert re.search(
         r"screwpose: mine: the folder is not empty and holds no \w+\.json, so it is no earlier", result.stderr
     )
@@ -217,8 +220,8 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(
     monkeypatch.setattr(Path, "mkdir", refused)  # tests may run as root, whom no mode stops
     result = program("solve", case.folder, "-o", "out", *QUICK)
     assert result.exit_code == 4
-    assert result.stderr.splitlines()[-1] == (
-        "screwpose: out: cannot be written: Permission denied. Choose a folder that you may write to."
+    assert result.stderr == (
+        "screwpose: out: cannot be written: Permission denied. Choose a folder that you may write to.\n"
     )
     assert cheap == []
 
@@ -242,11 +245,11 @@ def raising(error: BaseException) -> Callable[..., None]:
     ],
     ids=["ctrl-c", "cancelled", "disk"],
 )
-@pytest.mark.parametrize("where", ["screwpose.pairing.evidence.place", "screwpose.report.writing.write_json"])
+@pytest.mark.parametrize("where", ["while placing", "in the report"])
 def test_nothing_half_written_is_left(
     case: CaseFolder, monkeypatch: pytest.MonkeyPatch, where: str, error: BaseException, code: int, said: str
 ) -> None:
-    if where.startswith("screwpose.report"):
+    if where == "in the report":
         # In the middle of the report: one file is there already.
         def write(folder: Path, *_: object) -> None:
             (folder / "result.json").write_text("{}")
@@ -304,19 +307,12 @@ def test_bench_measures_and_replaces_its_earlier_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good_case: Path
 ) -> None:
     """One case of the paper's set, with the small case in the place of the full-size one."""
-    import shutil
-
-    from screwpose.benchmark import study
-    from screwpose.benchmark.sets import get_set
-
     monkeypatch.chdir(tmp_path)
     made = get_set("paper")
 
     def make(_seed: int, _index: int, folder: Path) -> Path:
         shutil.copytree(good_case, folder, dirs_exist_ok=True)
         return folder / "case.json"
-
-    from dataclasses import replace
 
     monkeypatch.setattr(study, "get_set", lambda _name: replace(made, make=make))
     Path("run/cases").mkdir(parents=True)  # of a run that was stopped
