@@ -13,6 +13,7 @@ from screwpose.pairing import (
     SegmentFit,
     combinations,
     judge,
+    p_value,
     probabilities,
 )
 from tests.pairing.scenes import SCREW, camera, case_of, screws
@@ -134,3 +135,31 @@ def test_the_verdict(chi_squares: list[float], chosen: int, status: str, reason:
         assert verdict.reasons == ()
     else:
         assert re.search(reason, " ".join(verdict.reasons))
+
+
+def test_one_bad_pair_does_not_hide_among_good_ones() -> None:
+    good = [combination(1.0).hypotheses[0] for _ in range(7)]
+    bad = Hypothesis((("AP", "8"), ("LAT", "h")), "screw", SegmentFit(np.zeros(3), np.ones(3), 9.0, 22.5, 30.0, 3))
+    whole = Combination((*good, bad), {})
+    assert p_value(whole) > 0.01  # the sum sees nothing
+    verdict = judge([whole], 0)
+    assert verdict.status == "ambiguous"
+    assert "screw AP 8 = LAT h: its landmarks fit each other badly" in verdict.reasons[0]
+
+
+def test_two_models_of_nearly_one_length_are_not_told_apart_in_silence() -> None:
+    rng = np.random.default_rng(13)
+    near = replace(SCREW, name="near", center_mm=np.array([0, 23.0, 0]))
+    case = replace(case_of(screws(rng, 2), VIEWS, 1.5, rng), implants={"screw": SCREW, "near": near})
+    verdict = judge(combinations(case, NOISE, 2), 0)
+    assert verdict.status == "ambiguous"
+    assert "name the model in its annotation" in " ".join(verdict.reasons)
+
+
+@pytest.mark.parametrize(("views", "count"), [(2, 12), (3, 5)])
+def test_many_screws_are_paired(views: int, count: int) -> None:
+    rng = np.random.default_rng(14)
+    cameras = dict(list({**VIEWS, "OBL": camera(45.0)}.items())[:views])
+    best = combinations(case_of(screws(rng, count), cameras, 0.3, rng), LandmarkNoise(0.5, 0.3), 3)[0]
+    assert len(best.hypotheses) == count
+    assert all(len({label[-1] for label in one.by_view.values()}) == 1 for one in best.hypotheses)

@@ -187,3 +187,11 @@ def test_screws_that_point_against_each_other_are_a_warning() -> None:
     with pytest.raises(AnnotationError, match=r"annotations.*: the screws AP AP0 = LAT .* point against each other"):
         raise finding.as_error()
     assert "tip and center" in str(finding)
+
+
+def test_screws_that_each_hide_in_the_other_view_are_a_warning() -> None:
+    ends = np.array([[[0, 0, 0], [0, 0, 22.5]], [[10, 40, 0], [10, 40, 22.5]], [[-20, -60, 5], [-20, -60, 27.5]]])
+    case = case_of(ends, VIEWS, 1.0, np.random.default_rng(5), {"AP": [0, 1], "LAT": [0, 2]})
+    (finding,) = check_plausibility(case)
+    assert finding.level == "warning"
+    assert "AP AP1, LAT LAT2: no two of these marks are one screw" in str(finding)

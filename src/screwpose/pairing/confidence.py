@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from screwpose._types import FloatArray
-from screwpose.pairing.hypotheses import Combination
+from screwpose.pairing.hypotheses import Combination, Hypothesis
 
 Status = Literal["confident", "ambiguous", "refused"]
 _CONFIDENT_PROBABILITY = 0.99
@@ -44,6 +44,13 @@ def p_value(combination: Combination) -> float:
     from scipy.stats import chi2
 
     return float(chi2.sf(combination.chi_square, combination.degrees_of_freedom))
+
+
+def p_value_of(hypothesis: Hypothesis) -> float:
+    """The same chance for one screw."""
+    from scipy.stats import chi2
+
+    return float(chi2.sf(hypothesis.fit.chi_square, hypothesis.fit.degrees_of_freedom))
 
 
 def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
@@ -82,13 +89,10 @@ def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
 
 def _doubtful_pairs(combination: Combination) -> list[str]:
     """Single screws that their landmarks contradict: many good pairs would hide one in the sum."""
-    from scipy.stats import chi2
-
     reasons = []
     for hypothesis in combination.hypotheses:
         fit = hypothesis.fit
-        chance = float(chi2.sf(fit.chi_square, fit.degrees_of_freedom)) * len(combination.hypotheses)
-        if chance < _DOUBTFUL_P_VALUE:
+        if p_value_of(hypothesis) * len(combination.hypotheses) < _DOUBTFUL_P_VALUE:
             reasons.append(
                 f"screw {hypothesis.name}: its landmarks fit each other badly (chi-square {fit.chi_square:.1f} for "
                 f"{fit.degrees_of_freedom} degrees of freedom): are they of one screw?"

@@ -51,10 +51,17 @@ def swapped_views(case: Case) -> Iterator[Suspect]:
         )
 
 
-def swapped_ends(case: Case) -> Iterator[Suspect]:
-    """Tip and centre that change places, in one mark or in all of a view."""
+def swapped_ends(case: Case, only: set[tuple[str, str]] | None = None) -> Iterator[Suspect]:
+    """Tip and centre that change places, in one mark or in all of a view.
+
+    Parameters
+    ----------
+    only : the marks (view, label) that are in doubt, one at a time; None for every mark, and for whole views.
+    """
     for view, marks in case.annotations.items():
         for index, mark in enumerate(marks):
+            if only is not None and (view, mark.label) not in only:
+                continue
             yield Suspect(
                 _with_marks(case, {(view, mark.label)}, _ends_swapped),
                 f"annotations.{view}[{index}]",
@@ -63,7 +70,7 @@ def swapped_ends(case: Case) -> Iterator[Suspect]:
                 "Swap tip and center of that screw in one of the views: the tip is the pointed end.",
                 AnnotationError,
             )
-        if len(marks) > 1:
+        if only is None and len(marks) > 1:
             yield Suspect(
                 _with_marks(case, {(view, mark.label) for mark in marks}, _ends_swapped),
                 f"annotations.{view}",

@@ -6,7 +6,7 @@ mistake that explains it all is named; nothing is corrected in silence. The mist
 `screwpose.pairing.mistakes`.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations as choose
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from screwpose.errors import AnnotationError
 from screwpose.files.case import Case
 from screwpose.files.findings import Finding
-from screwpose.pairing.confidence import p_value
+from screwpose.pairing.confidence import p_value, p_value_of
 from screwpose.pairing.hypotheses import Combination, Hypothesis, combinations
 from screwpose.pairing.mistakes import Suspect, families, swapped_ends, swapped_views
 from screwpose.pairing.segment import LandmarkNoise
@@ -31,19 +31,25 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
 
     Returns
     -------
-    Nothing where some pairing explains the landmarks, unless swapped views would explain them better: a warning. Where
-    none does one error: the mistake that would explain them, or that none of the usual ones does.
+    Nothing where some pairing explains the landmarks, unless swapped views would explain them better: a warning; nor
+    where it explains most of them: a warning that names the rest. Where none does one error: the mistake that would
+    explain them, or that none of the usual ones does.
     """
     noise = noise or LandmarkNoise()
     chance = _explains(case, noise)
     if chance >= _SUSPICIOUS_P_VALUE:
         return (*_better_swapped(case, noise), *_pointing_apart(case, noise))
-    for family in families(case):
+    lonely = _marks_without_partner(case, noise)
+    some_fit = len(lonely) < sum(len(marks) for marks in case.annotations.values())
+    # A mistake in a matrix, a unit or a way of counting spoils every pair: where some fit, only a mark can be wrong.
+    for family in [swapped_ends(case, set(lonely))] if some_fit else families(case):
         suspect = _best_of(family, noise)
         if suspect is not None:
             return (
                 Finding("error", suspect.problem, case.path, suspect.field, remedy=suspect.remedy, kind=suspect.kind),
             )
+    if some_fit:
+        return (_lonely_marks(case, lonely),)
     return (
         Finding(
             "error",
@@ -54,6 +60,32 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
             "Check that each matrix belongs to its image, the unit of the matrices and the models, and the marks.",
             AnnotationError,
         ),
+    )
+
+
+def _marks_without_partner(case: Case, noise: LandmarkNoise) -> list[tuple[str, str]]:
+    """The marks (view, label) that stand in no pair that fits, in the best combination."""
+    found = combinations(case, noise, 1)
+    fitting = [one for one in (found[0].hypotheses if found else ()) if p_value_of(one) >= _EXPLAINED_P_VALUE]
+    paired = {key for one in fitting for key in one.labels}
+    return [
+        (view, mark.label)
+        for view in case.annotations
+        for mark in case.annotations[view]
+        if (view, mark.label) not in paired
+    ]
+
+
+def _lonely_marks(case: Case, lonely: Sequence[tuple[str, str]]) -> Finding:
+    """A warning where some screws pair well, and others that could have a partner fit none."""
+    return Finding(
+        "warning",
+        f"{', '.join(f'{view} {label}' for view, label in lonely)}: no two of these marks are one screw",
+        case.path,
+        "annotations",
+        "marks of one screw in two views, unless each of them is hidden in the other view",
+        "Check these marks: what is made of them, if anything, is doubtful.",
+        AnnotationError,
     )
 
 
@@ -90,7 +122,7 @@ def _pointing_apart(case: Case, noise: LandmarkNoise) -> Iterator[Finding]:
     suspect = _best_of(swapped_ends(case), noise)
     yield Finding(
         "warning",
-        f"the screws {' and '.join(_name(one) for one in apart)} point against each other by their landmarks",
+        f"the screws {' and '.join(one.name for one in apart)} point against each other by their landmarks",
         case.path,
         "annotations" if suspect is None else suspect.field,
         "screws of one spine that point roughly the same way",
@@ -108,10 +140,6 @@ def _opposed(combination: Combination) -> tuple[Hypothesis, Hypothesis] | None:
     cosines = [(float(axes[i] @ axes[j]), i, j) for i, j in choose(range(len(axes)), 2)]
     cosine, first, second = min(cosines, default=(1.0, 0, 0))
     return (combination.hypotheses[first], combination.hypotheses[second]) if cosine < _AGAINST else None
-
-
-def _name(one: Hypothesis) -> str:
-    return " = ".join(f"{view} {label}" for view, label in one.labels)
 
 
 def _best_of(family: Iterable[Suspect], noise: LandmarkNoise) -> Suspect | None:
@@ -141,7 +169,7 @@ def _best_attempt(case: Case) -> str:
     if not found:
         return "the rays do not meet in front of both sources"
     words = [
-        f"{_name(one)}: {one.fit.residual_px:.0f} px off, "
+        f"{one.name}: {one.fit.residual_px:.0f} px off, "
         f"{one.fit.measured_length_mm:.1f} mm from tip to centre where {one.model} has "
         f"{case.implants[one.model].length_mm:.1f}"
         for one in found[0].hypotheses
