@@ -42,14 +42,14 @@ class CaseOutcome:
 
     Parameters
     ----------
-    errors : by label of the first view, for the screws whose labels belong together.
+    errors : for each screw of the answer, in its order; None where its labels belong to different screws.
     seconds : wall time of reading and solving the case, without making or reporting it.
     """
 
     answer: ResultFile
     truth: TruthFile
     right: bool
-    errors: dict[str, PoseError]
+    errors: list[PoseError | None]
     seconds: float
     true_screws: int
 
@@ -91,11 +91,7 @@ def run_case(
     truth = read_truth(path.parent / "truth.json")
     with atomic_folder(folder / "results" / name) as partial:
         write_report(partial, case, result, compare(result.answer, truth, case.implants, cases.origin))
-    errors = {
-        next(iter(screw.labels.values())): error
-        for screw, error in screw_errors(result.answer, truth, case.implants)
-        if error is not None
-    }
+    errors = [error for _, error in screw_errors(result.answer, truth, case.implants)]
     right = pairing_is_right(result.answer, truth)
     return CaseOutcome(result.answer, truth, right, errors, seconds, len(truth.screws))
 
@@ -129,13 +125,13 @@ def _of_case(progress: CaseProgress, index: int, count: int) -> Callable[[float,
 
 
 def summarise(study: Study) -> SummaryFile:
-    """summary.json of a run. Errors are over the screws of cases whose whole pairing is right."""
+    """summary.json of a run. Errors are over the screws whose pairing is right."""
     outcomes = study.outcomes
     share = 1.0 / max(len(outcomes), 1)
-    right_errors = [error for one in outcomes if one.right for error in one.errors.values()]
+    right_errors = [error for one in outcomes for error in one.errors if error is not None]
     true_pairs = study.true_pairs
     pairs = [(dict(pair), true_pairs[one.truth.case]) for one in outcomes for pair in one.answer.pairing.pairs]
-    all_pairs = sum(len(one.truth.screws) for one in outcomes)
+    all_pairs = sum(len(screw.labels) > 1 for one in outcomes for screw in one.truth.screws)
     statuses = [one.answer.pairing.status for one in outcomes]
     pairing = PairingRates(
         right=share * sum(one.right for one in outcomes),
@@ -205,8 +201,7 @@ def case_rows(study: Study) -> list[dict[str, Any]]:
         }
         if not one.answer.screws:
             rows.append(common)
-        for screw in one.answer.screws:
-            error = one.errors.get(next(iter(screw.labels.values())))
+        for screw, error in zip(one.answer.screws, one.errors, strict=True):
             row = {**common, "screw": " ".join(screw.labels.values()), "screw_status": screw.status}
             if error is not None:
                 errors = asdict(error)

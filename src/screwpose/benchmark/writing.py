@@ -23,8 +23,8 @@ _ERRORS = {
 
 
 def error_table(study: Study) -> Table:
-    """Median, p90 and worst of each error over the screws of cases paired right; the signed mean shows a bias."""
-    rows = [row for row in case_rows(study) if row["pairing_right"] and "tip_mm" in row]
+    """Median, p90 and worst of each error over the screws that were paired right; the signed mean shows a bias."""
+    rows = [row for row in case_rows(study) if "tip_mm" in row]
     columns = (
         Column("error", "Difference from the truth", is_number=False),
         Column("median", "median"),
@@ -54,7 +54,7 @@ def outcome_table(study: Study) -> Table:
     )
     lines = []
     for one in study.outcomes:
-        errors = list(one.errors.values())
+        errors = [error for error in one.errors if error is not None]
         lines.append(
             (
                 one.answer.case,
