@@ -14,7 +14,7 @@ from screwpose.implants.model import Mesh
 
 # The tests' images are a quarter of the usual size: marks are as exact as 2 px of 1024.
 SIGMA = ["--landmark-sigma", "0.5"]
-QUICK = [*SIGMA, "--generations", "1", "--population", "1", "--faces", "300"]
+QUICK = [*SIGMA, "--generations", "1", "--population", "1", "--faces", "60"]
 MODEL = "ms55x50"
 
 

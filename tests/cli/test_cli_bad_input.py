@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from typer.testing import Result as Run
 
 from screwpose.cli import app
-from screwpose.files import Result, read_case, write_result
+from screwpose.files import read_case
 from screwpose.pairing.hypotheses import combinations
 from screwpose.pairing.segment import LandmarkNoise
 from tests.cli import bad_inputs as bad
@@ -226,7 +226,6 @@ CONTRADICTED: dict[Mistake, str] = {
         r"inches: .* apart\..* by 25\.4"
     ),
     bad.center_of_the_whole: _NO_PAIRING,
-    bad.strange_screws: _NO_PAIRING,
     bad.ends_swapped_in_one_view: (
         r"annotations\.AP: .* if tip and center of every screw in AP, or in the "
         r"other view, change"
@@ -296,16 +295,6 @@ def check_says(case: CaseFolder, said: str) -> None:
         assert len(line) <= 80 or max(map(len, line.split())) > 40, line
 
 
-@pytest.fixture
-def brief_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The answer alone: pictures take most of a small case's time, and are tried in test_cli_program.py."""
-
-    def write(folder: Path, _case: object, result: Result, *_: object) -> None:
-        write_result(folder / "result.json", result.answer)
-
-    monkeypatch.setattr("screwpose.report.writing.write_report", write)
-
-
 @over(REFUSED)
 def test_what_cannot_be_used_is_one_clear_error(spoilt: CaseFolder, said: str, tmp_path: Path) -> None:
     said = re.escape(str(spoilt.folder)) + said
@@ -364,6 +353,16 @@ def test_what_cannot_be_known_is_not_confident(spoilt: CaseFolder, said: str | N
     answer = answer_of(spoilt, said, tmp_path / "out")
     assert answer["status"] == "ambiguous"
     assert any(screw["status"] != "ok" for screw in answer["screws"])
+
+
+@pytest.mark.usefixtures("brief_report")
+def test_marks_that_are_no_screw_stay_alone(case: CaseFolder, tmp_path: Path) -> None:
+    bad.strange_screws(case)
+    case.save()
+    answer = answer_of(case, "annotations: AP n, LAT n: no two of these marks are one screw", tmp_path / "out")
+    assert answer["status"] == "ambiguous"
+    assert answer["pairing"]["pairs"] == [{"AP": "1", "LAT": "b"}, {"AP": "2", "LAT": "a"}]
+    assert answer["pairing"]["unpaired"] == {"AP": ["n"], "LAT": ["n"]}
 
 
 def test_five_screws_in_one_view_and_three_in_the_other(case: CaseFolder) -> None:

@@ -107,6 +107,7 @@ def test_solve_writes_everything_and_says_so(case: CaseFolder) -> None:
     assert all(re.match(r" *\d+%  \S", line) for line in lines)
 
 
+@pytest.mark.usefixtures("brief_report")
 def test_solve_for_machines_replaces_an_earlier_output(case: CaseFolder) -> None:
     earlier = Path("out")
     (earlier / "overlays").mkdir(parents=True)
@@ -250,7 +251,10 @@ def test_nothing_half_written_is_left(
     case: CaseFolder, monkeypatch: pytest.MonkeyPatch, where: str, error: BaseException, code: int, said: str
 ) -> None:
     if where == "in the report":
-        # In the middle of the report: one file is there already.
+        # In the middle of the report: one file is there already. A refused case is there soon.
+        bad.matrices_in_metres(case)
+        case.save()
+
         def write(folder: Path, *_: object) -> None:
             (folder / "result.json").write_text("{}")
             raise error
