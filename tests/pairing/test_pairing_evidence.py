@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from screwpose.files.case import Annotation, Case, View
 from screwpose.geometry import Camera, rigid
@@ -78,6 +79,20 @@ def test_placing_finds_position_and_roll() -> None:
         offset = rigid.log(rigid.invert(TRUTH[hypothesis.by_view["AP"]]) @ found)
         assert np.linalg.norm(offset[3:]) < 0.05
         assert np.degrees(np.linalg.norm(offset[:3])) < 3.0
+
+
+@pytest.mark.parametrize("blind", ["AP", "LAT"])
+def test_every_view_has_a_say_in_the_roll(blind: str) -> None:
+    case = the_case()
+    view = case.views[blind]
+    flat = replace(view, radiograph=Radiograph(np.full(SHAPE, 0.3, np.float32)))
+    case = replace(case, views={**case.views, blind: flat})
+    evidence = gather(case, None, reference.silhouette)
+    for hypothesis in right(case).hypotheses:
+        truth = TRUTH[hypothesis.by_view["AP"]]
+        flag_reach = (place(evidence, hypothesis)[:3, :3] @ [1, 0, 0])[[0, 2]]  # along x, seen by AP; along z, by LAT
+        seen = 0 if blind == "LAT" else 1
+        np.testing.assert_allclose(abs(flag_reach[seen]), abs((truth[:3, :3] @ [1, 0, 0])[[0, 2]][seen]), atol=0.1)
 
 
 def test_the_true_scene_scores_perfectly_and_each_screw_by_itself() -> None:

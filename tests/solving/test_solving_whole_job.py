@@ -9,6 +9,7 @@ import pytest
 from screwpose.benchmark import pairing_is_right, screw_errors
 from screwpose.errors import CancelledError
 from screwpose.files.case import Case, read_case
+from screwpose.files.findings import Finding
 from screwpose.files.schema import TruthFile
 from screwpose.files.truth import read_truth
 from screwpose.pairing import LandmarkNoise
@@ -125,3 +126,25 @@ def test_nothing_is_written_by_solving(
     monkeypatch.chdir(tmp_path)
     solve(simulated[0], replace(QUICK, search=replace(QUICK.search, generations=1)))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_warning_of_the_checks_takes_the_confidence(
+    simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubt = Finding("warning", "the landmarks fit better if the matrices change places")
+    monkeypatch.setattr("screwpose.solve.check_plausibility", lambda *_: (doubt,))
+    few = replace(QUICK, search=SearchOptions(generations=1, population=1))
+    answer = solve(simulated[0], few).answer
+    assert answer.pairing.status == "ambiguous"
+    assert "change places" in " ".join(answer.warnings)
+
+
+def test_a_model_that_has_left_its_marks_is_to_be_checked(
+    simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("screwpose.pairing.answer._FAR_MARK_SIGMAS", 0.1)
+    few = replace(QUICK, search=SearchOptions(generations=1, population=1))
+    answer = solve(simulated[0], few).answer
+    assert answer.status == "ambiguous"
+    assert {screw.status for screw in answer.screws} == {"check"}
+    assert "px from its landmarks in" in " ".join(answer.warnings)
