@@ -9,6 +9,9 @@ import typer
 
 from screwpose import __version__
 from screwpose.cli.terminal import BAD_INPUT, EXIT_CODES, REFUSED, answers_errors, say_json, shown_progress
+from screwpose.errors import InputError
+
+_LEAST_FACES = 100
 
 app = typer.Typer(
     name="screwpose",
@@ -43,19 +46,43 @@ MethodOption = Annotated[MethodName, typer.Option(help="How the pairing is decid
 Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
 Generations = Annotated[int, typer.Option(min=1, help="Generations of the differential evolution.")]
 Population = Annotated[int, typer.Option(min=1, help="Its population, for each degree of freedom.")]
+MaxShift = Annotated[float, typer.Option(min=0.01, help="How far the search may move a screw along each axis, mm.")]
+MaxTilt = Annotated[float, typer.Option(min=0.01, max=90, help="How far it may tilt it, degrees.")]
+MaxRoll = Annotated[float, typer.Option(min=0.01, max=180, help="How far it may turn it about its axis, degrees.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same answer.")]
 ImageSize = Annotated[int, typer.Option(min=128, max=4096, help="Width and height of the images, px.")]
 SigmaPx = Annotated[float, typer.Option(min=0.01, help="How exactly landmarks were marked, px (standard deviation).")]
 
 
 def _options(
-    method: MethodName, faces: int, generations: int, population: int, seed: int, landmark_sigma: float
+    method: MethodName,
+    faces: int,
+    generations: int,
+    population: int,
+    seed: int,
+    landmark_sigma: float,
+    bounds: tuple[float, float, float],
 ) -> Any:
     from screwpose.pairing.segment import LandmarkNoise
     from screwpose.solve import SolveOptions
 
+    if 0 < faces < _LEAST_FACES:
+        raise InputError(
+            f"a model of {faces} triangles is no screw",
+            field="--faces",
+            expected=f"{_LEAST_FACES} or more, or 0 for all",
+        )
     options = SolveOptions(method=method.value, faces=faces or None, noise=LandmarkNoise(sigma_px=landmark_sigma))
-    search = replace(options.search, generations=generations, population=population, seed=seed)
+    shift, tilt, roll = bounds
+    search = replace(
+        options.search,
+        generations=generations,
+        population=population,
+        seed=seed,
+        max_shift_mm=shift,
+        max_tilt_deg=tilt,
+        max_roll_deg=roll,
+    )
     return replace(options, search=search)
 
 
@@ -77,6 +104,9 @@ def demo(
     generations: Generations = 60,
     population: Population = 5,
     landmark_sigma: SigmaPx = 2.0,
+    max_shift: MaxShift = 2.0,
+    max_tilt: MaxTilt = 5.0,
+    max_roll: MaxRoll = 15.0,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -84,7 +114,7 @@ def demo(
     from screwpose.cli.jobs import run_demo
     from screwpose.cli.words import told_demo
 
-    options = _options(method, faces, generations, population, seed, landmark_sigma)
+    options = _options(method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll))
     with shown_progress(quiet or as_json) as progress:
         result, comparison = run_demo(out, seed, size, options, progress)
     if as_json:
@@ -105,6 +135,9 @@ def solve(
     population: Population = 5,
     seed: Seed = 0,
     landmark_sigma: SigmaPx = 2.0,
+    max_shift: MaxShift = 2.0,
+    max_tilt: MaxTilt = 5.0,
+    max_roll: MaxRoll = 15.0,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -112,7 +145,7 @@ def solve(
     from screwpose.cli.jobs import solve_files
     from screwpose.cli.words import told_result
 
-    options = _options(method, faces, generations, population, seed, landmark_sigma)
+    options = _options(method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll))
     with shown_progress(quiet or as_json) as progress:
         result, _ = solve_files(case, out, options, progress)
     if as_json:
@@ -182,6 +215,9 @@ def bench(
     generations: Generations = 60,
     population: Population = 5,
     landmark_sigma: SigmaPx = 2.0,
+    max_shift: MaxShift = 2.0,
+    max_tilt: MaxTilt = 5.0,
+    max_roll: MaxRoll = 15.0,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -191,7 +227,7 @@ def bench(
     from screwpose.cli.jobs import run_bench
     from screwpose.cli.words import told_study
 
-    options = _options(method, faces, generations, population, seed, landmark_sigma)
+    options = _options(method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll))
     with shown_progress(quiet or as_json) as progress:
         study = run_bench(out, set_name.value, options, count, seed, progress)
     if as_json:
