@@ -11,7 +11,7 @@ from screwpose import __version__
 from screwpose.cli.terminal import BAD_INPUT, EXIT_CODES, REFUSED, answers_errors, say_json, shown_progress
 from screwpose.errors import InputError
 
-_LEAST_FACES = 100
+_LEAST_FACES = 20
 
 app = typer.Typer(
     name="screwpose",
