@@ -144,10 +144,9 @@ def _screws(
     for index, (hypothesis, pose) in enumerate(zip(combination.hypotheses, poses, strict=True)):
         implant = evidence.implants[hypothesis.model]
         words = []
-        worst_view = min(post[index].views, key=lambda view, i=index: post[i].views[view].dice)  # type: ignore[misc]
-        worst_dice = post[index].views[worst_view].dice
-        if worst_dice < _CHECK_DICE:
-            words.append(f"it covers little metal in {worst_view} (Dice {worst_dice:.2f})")
+        worst_view, worst = min(post[index].views.items(), key=lambda item: item[1].dice)
+        if worst.dice < _CHECK_DICE:
+            words.append(f"it covers little metal in {worst_view} (Dice {worst.dice:.2f})")
         words += [
             f"its outline meets no edges in {view} (loss {score.loss:.3f})"
             for view, score in post[index].views.items()
@@ -166,7 +165,7 @@ def _screws(
             ScrewResultFile(
                 labels=hypothesis.by_view,
                 model=hypothesis.model,
-                status="failed" if worst_dice < _FAILED_DICE else "check" if words else "ok",
+                status="failed" if worst.dice < _FAILED_DICE else "check" if words else "ok",
                 world_from_cad=as_pose(pose),
                 tip=as_point3(rigid.transform(pose, implant.tip_mm)),
                 center=as_point3(rigid.transform(pose, implant.center_mm)),
