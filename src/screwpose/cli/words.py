@@ -112,7 +112,7 @@ def model_facts(report: MeshReport, proposal: LandmarkProposal) -> dict[str, Any
 def told_model(file: Path, unit: str, report: MeshReport, proposal: LandmarkProposal, picture: Path) -> str:
     """A mesh report and its proposed landmarks, ready to be copied into a case."""
     size = " x ".join(f"{side:.1f}" for side in report.extent_mm)
-    closed = "closed" if report.watertight else f"open ({report.open_edges} open edges)"
+    closed = "closed" if report.watertight else f"not closed ({report.open_edges} open edges)"
     lines = [
         f"{file} (read as {unit}): {report.faces} triangles, {report.bodies} bodies, {closed}, {size} mm",
         *(paragraph(f"Problem: {problem}") for problem in report.problems),
