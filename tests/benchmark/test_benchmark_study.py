@@ -11,6 +11,7 @@ from screwpose.benchmark import run_study, summarise, write_study
 from screwpose.benchmark import sets as benchmark_sets
 from screwpose.benchmark.sets import BenchmarkSet, case_seed
 from screwpose.benchmark.study import Study
+from screwpose.errors import BehindSourceError
 from screwpose.pairing import LandmarkNoise
 from screwpose.registration import SearchOptions
 from screwpose.simulation.scenes import two_screw_scene
@@ -68,3 +69,17 @@ def test_every_case_and_its_report_are_there(run: tuple[Study, Path, list[tuple[
     assert "Pre" in (folder / "tables.md").read_text()
     table2 = (folder / "table2.csv").read_text().splitlines()
     assert len(table2) == 1 + 2 * 2  # two combinations a case
+
+
+def test_a_case_that_cannot_be_computed_is_counted_as_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def behind(*_: object) -> None:
+        raise BehindSourceError("a vertex has depth -3 mm")
+
+    small = BenchmarkSet("small", make_small, None, "simulated", "two small cases")
+    monkeypatch.setitem(benchmark_sets.SETS, "small", small)
+    monkeypatch.setattr("screwpose.benchmark.study.solve", behind)
+    study = run_study("small", SolveOptions(method="paper"), 1, 5, tmp_path)
+    write_study(study, tmp_path)
+    rates = json.loads((tmp_path / "summary.json").read_text())["sets"]["small"]["methods"]["paper"]["pairing"]
+    assert (rates["refused"], rates["right"], rates["pairs_right"]) == (1.0, 0.0, 0.0)
+    assert study.outcomes[0].answer.warnings[-1] == "a vertex has depth -3 mm"

@@ -14,9 +14,9 @@ import numpy as np
 from screwpose import __version__
 from screwpose.benchmark.scoring import PoseError, compare, pairing_is_right, quantiles, screw_errors
 from screwpose.benchmark.sets import BenchmarkSet, case_seed, get_set
+from screwpose.errors import GeometryError
 from screwpose.files.atomic import atomic_folder
 from screwpose.files.case import read_case
-from screwpose.files.result import Result
 from screwpose.files.schema import (
     MethodSummary,
     PairingRates,
@@ -29,6 +29,7 @@ from screwpose.files.schema import (
     TruthFile,
 )
 from screwpose.files.truth import read_truth
+from screwpose.pairing.answer import refused
 from screwpose.report.tables import same_pairs
 from screwpose.solve import SolveOptions, solve
 
@@ -86,7 +87,10 @@ def run_case(
     start = perf_counter()
     case = read_case(path)
     search = replace(options.search, seed=case_seed(f"{cases.name}-search", seed, index))
-    result: Result = solve(case, replace(options, search=search), progress)
+    try:
+        result = solve(case, replace(options, search=search), progress)
+    except GeometryError as error:  # counted as refused: one case must not cost the run
+        result = refused(case, [str(error)], {"total": perf_counter() - start})
     seconds = perf_counter() - start
     truth = read_truth(path.parent / "truth.json")
     with atomic_folder(folder / "results" / name) as partial:
