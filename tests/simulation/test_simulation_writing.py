@@ -74,6 +74,6 @@ def test_a_case_is_written_over_by_a_case_only(simulated, tmp_path):
     thesis = tmp_path / "thesis"
     thesis.mkdir()
     (thesis / "chapter1.txt").write_text("years of work")
-    with pytest.raises(OutputError, match=r"thesis: the folder is not empty and holds no case\.json"):
+    with pytest.raises(OutputError, match=r"thesis: the folder is not empty and holds no truth\.json"):
         write_case(simulated, thesis)
     assert (thesis / "chapter1.txt").read_text() == "years of work"

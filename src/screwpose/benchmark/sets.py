@@ -85,7 +85,7 @@ def _make_real(seed: int, index: int, folder: Path) -> Path:
     pose = np.array(pair["femur_world_from_cad"])
     rng = np.random.default_rng(case_seed("real", seed, index))
     views, annotations = {}, {}
-    with atomic_folder(folder, marker="case.json") as partial:
+    with atomic_folder(folder, marker="truth.json") as partial:
         shutil.copyfile(source / "femur0.stl", partial / "femur0.stl")
         for name, view in pair["views"].items():
             image = Path(view["image"])

@@ -193,7 +193,7 @@ def simulate(
     from screwpose.simulation.scenes import two_screw_scene
     from screwpose.simulation.writing import write_case
 
-    ensure_can_write_folder(out, marker="case.json")
+    ensure_can_write_folder(out, marker="truth.json")
     with shown_progress(quiet or as_json) as progress:
         progress(0.0, "X-raying a simulated patient")
         path = write_case(two_screw_scene(seed, landmark_noise_px=landmark_noise, image_size=(size, size)), out)

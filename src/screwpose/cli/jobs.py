@@ -5,6 +5,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from screwpose.errors import OutputError
 from screwpose.files.atomic import atomic_folder, ensure_can_write_folder
 from screwpose.files.case import Case, inspect_case, read_case
 from screwpose.files.findings import Finding, errors_in
@@ -31,6 +32,7 @@ def solve_files(
     from screwpose.report.writing import write_report
 
     ensure_can_write_folder(out)
+    _refuse_to_replace(Path(case_path), Path(out))
     start = perf_counter()
     progress(0.0, "reading the case")
     case = read_case(case_path)
@@ -101,6 +103,22 @@ def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Findin
     if case is None or errors_in(findings):
         return findings
     return findings + check_plausibility(case, LandmarkNoise(sigma_px=landmark_sigma_px))
+
+
+def _refuse_to_replace(case_path: Path, out: Path) -> None:
+    """An earlier output is replaced whole: a case that lies in it would be lost.
+
+    Raises
+    ------
+    OutputError
+        The case is in the output folder, as the demo's is in the demo's.
+    """
+    from screwpose.files.case import case_file
+
+    if out.resolve() in case_file(case_path).resolve().parents:
+        raise OutputError(
+            f"{out}: the case {case_path} lies in this folder, which the output would replace. Write to another folder."
+        )
 
 
 def with_load_time(result: Result, seconds: float) -> Result:

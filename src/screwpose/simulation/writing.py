@@ -31,7 +31,8 @@ def write_case(simulated: SimulatedCase, folder: str | Path) -> Path:
     OutputError
         The folder cannot be written, or holds something that is no case.
     """
-    with atomic_folder(folder, marker="case.json") as partial:
+    # Known by its truth: a folder with a case alone is somebody's own, and must not be replaced.
+    with atomic_folder(folder, marker="truth.json") as partial:
         (partial / "models").mkdir()
         for name, implant in simulated.implants.items():
             write_stl(implant.mesh, partial / "models" / f"{name}.stl")
