@@ -137,7 +137,8 @@ def test_the_tree_of_errors_is_that_of_the_code():
 def test_every_dependency_has_its_reason():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     groups = [group for name, group in project["dependency-groups"].items() if name != "dev"]
-    required = [*project["project"]["dependencies"], *(one for group in groups for one in group)]
+    extras = project["project"]["optional-dependencies"].values()
+    required = [*project["project"]["dependencies"], *(one for group in [*groups, *extras] for one in group)]
     wanted = {re.match(r"[\w-]+", one)[0] for one in required}
     cells = re.findall(r"^\| ([a-z][\w, -]*) \| \S", TEXTS["dependencies.md"], re.M)
     told = {name.strip() for cell in cells for name in cell.split(",")} - {"package"}

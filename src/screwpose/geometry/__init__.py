@@ -2,6 +2,7 @@
 
 from screwpose.geometry import rigid
 from screwpose.geometry.camera import Camera
+from screwpose.geometry.epipolar import epipolar_distances_px, fundamental_matrix
 from screwpose.geometry.triangulation import Triangulation, triangulate
 
-__all__ = ["Camera", "Triangulation", "rigid", "triangulate"]
+__all__ = ["Camera", "Triangulation", "epipolar_distances_px", "fundamental_matrix", "rigid", "triangulate"]

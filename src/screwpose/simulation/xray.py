@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,20 @@ from screwpose.implants.model import Mesh
 from screwpose.simulation.detector import Detector, displayed, expected_signal, noisy
 from screwpose.simulation.materials import GAS, Material, detector_spectrum
 from screwpose.simulation.pathlength import PathLengthPatch, distance_per_depth, path_length_patch
+
+
+class Layer(IntEnum):
+    """Which body counts where several overlap: the one of the higher layer; within a layer, the later one."""
+
+    FAT = 0
+    MUSCLE = 10
+    VISCERA = 20
+    GAS = 30
+    DISC = 40
+    CORTEX = 50
+    MARROW = 60
+    INSTRUMENT = 80
+    IMPLANT = 90
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +53,7 @@ class Body:
     sharp: bool = True
     texture: float = 0.0
     texture_mm: float = 2.0
+    layer: Layer = Layer.FAT
 
     @property
     def vertices_in_world_mm(self) -> FloatArray:
