@@ -10,14 +10,16 @@ from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
 from screwpose.pairing.answer import Trial, answered, refused
 from screwpose.pairing.confidence import judge, probabilities
+from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
-from screwpose.pairing.hypotheses import Combination, Hypothesis, combinations
+from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable, combinations
 from screwpose.pairing.plausibility import check_plausibility
-from screwpose.pairing.segment import LandmarkNoise
+from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.registration import Progress, SearchOptions
 
-Method = Literal["default", "paper"]
-"""How the pairing is decided: `default` by the landmarks' chi-square, `paper` by the Dice score after registration."""
+Method = Literal["default", "paper", "epipolar"]
+"""How the pairing is decided: `default` by the landmarks' chi-square with the CAD's length, `paper` by the Dice score
+after registration, `epipolar` by the landmarks' epipolar distances alone."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
 
     tell(0.0, "checking the landmarks")
     findings = check_plausibility(case, options.noise)
-    ranked = combinations(case, options.noise, options.combinations)
+    table = HypothesisTable(case, options.noise, _FITS[options.method])
+    ranked = combinations(case, options.noise, options.combinations, table)
     if errors_in(findings) or not ranked:
         reasons = [finding.within_file() for finding in findings] or ["no two marks can be one screw"]
         return refused(case, reasons, clock.read("pairing"))
@@ -84,7 +87,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     ]
     clock.lap("pairing")
 
-    trials = _registered(evidence, trials, options, _within(tell, 0.2, 0.97))
+    if options.search.generations > 0:
+        trials = _registered(evidence, trials, options, _within(tell, 0.2, 0.97))
     clock.lap("registration")
 
     tell(0.97, "judging")
@@ -138,10 +142,16 @@ def _by_dice_after(trial: Trial) -> tuple[bool, float]:
     return trial.post is None, -(trial.pre if trial.post is None else trial.post).dice
 
 
-_ORDERS: dict[Method, Callable[[Trial], tuple[bool, float]]] = {"default": _by_chi_square, "paper": _by_dice_after}
+_FITS: dict[Method, Fit] = {"default": fit_segment, "paper": fit_segment, "epipolar": fit_epipolar}
+_ORDERS: dict[Method, Callable[[Trial], tuple[bool, float]]] = {
+    "default": _by_chi_square,
+    "paper": _by_dice_after,
+    "epipolar": _by_chi_square,
+}
 _PROMISING: dict[Method, Callable[[Trial], float]] = {
     "default": lambda trial: trial.combination.chi_square,
     "paper": lambda trial: -trial.pre.dice,
+    "epipolar": lambda trial: trial.combination.chi_square,
 }
 
 

@@ -71,6 +71,23 @@ def test_the_paper_method_takes_the_higher_dice(simulated: tuple[Case, TruthFile
     assert answer.pairing.chosen_by.post == 1
 
 
+def test_without_generations_the_screws_stay_where_they_were_placed(simulated: tuple[Case, TruthFile]) -> None:
+    case, truth = simulated
+    found = {
+        method: solve(case, replace(QUICK, method=method, search=SearchOptions(generations=0)))
+        for method in ("default", "paper", "epipolar")
+    }
+    for result in found.values():
+        assert [one.post for one in result.answer.combinations] == [None, None]
+        assert [scene.post for scene in result.scenes] == [(), ()]
+        for screw, posed in zip(result.answer.screws, result.scenes[0].pre, strict=True):
+            np.testing.assert_array_equal(screw.world_from_cad, posed.world_from_cad)
+    # Overlapping screws of one level: their marks nearly share epipolar lines, and the method says what it knows.
+    one = found["epipolar"].answer
+    assert pairing_is_right(one, truth) or one.pairing.status == "ambiguous"
+    assert found["default"].answer.combinations[0].probability > one.combinations[0].probability
+
+
 def test_the_same_seed_gives_the_same_answer(simulated: tuple[Case, TruthFile]) -> None:
     case, _ = simulated
     few = replace(QUICK, faces=200, search=SearchOptions(generations=3, population=2))

@@ -31,6 +31,7 @@ class MethodName(StrEnum):
 
     default = "default"
     paper = "paper"
+    epipolar = "epipolar"
 
 
 class SetName(StrEnum):
@@ -42,9 +43,14 @@ class SetName(StrEnum):
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object, for machines.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print nothing but errors.")]
-MethodOption = Annotated[MethodName, typer.Option(help="How the pairing is decided: by landmarks, or as in the paper.")]
+MethodOption = Annotated[
+    MethodName,
+    typer.Option(
+        help="How the pairing is decided: by the landmarks and the CAD, as in the paper, or by epipolar lines."
+    ),
+]
 Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
-Generations = Annotated[int, typer.Option(min=1, help="Generations of the differential evolution.")]
+Generations = Annotated[int, typer.Option(min=0, help="Generations of the differential evolution; 0: do not register.")]
 Population = Annotated[int, typer.Option(min=1, help="Its population, for each degree of freedom.")]
 MaxShift = Annotated[float, typer.Option(min=0.01, help="How far the search may move a screw along each axis, mm.")]
 MaxTilt = Annotated[float, typer.Option(min=0.01, max=90, help="How far it may tilt it, degrees.")]

@@ -2,6 +2,7 @@
 
 from screwpose.pairing.assignment import Assignment, cheapest_assignments
 from screwpose.pairing.confidence import Confidence, judge, p_value, probabilities
+from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, combinations
 from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
 
@@ -15,6 +16,7 @@ __all__ = [
     "SegmentFit",
     "cheapest_assignments",
     "combinations",
+    "fit_epipolar",
     "fit_segment",
     "judge",
     "p_value",

@@ -1,12 +1,14 @@
 """Which screw in one view may be which in another? Every pair that the rays allow, and the combinations of pairs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from screwpose._types import FloatArray
 from screwpose.errors import GeometryError
 from screwpose.files.case import Annotation, Case
+from screwpose.geometry import Camera
 from screwpose.pairing.assignment import cheapest_assignments
 from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
 
@@ -18,6 +20,8 @@ _RANKED_OF_TWO_VIEWS = 400
 _RANKED_OF_MORE = 24
 Labels = tuple[tuple[str, str], ...]
 """One screw's labels: (view, label) for each view in which it was marked, in the order of the views."""
+Fit = Callable[[Sequence[Camera], FloatArray, FloatArray, float, LandmarkNoise], SegmentFit]
+"""``fit(cameras, tips_px, centers_px, length_mm, noise)``: how well a pair is one screw, as `fit_segment`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +78,10 @@ class Combination:
 class HypothesisTable:
     """All hypotheses of a case, each fitted once."""
 
-    def __init__(self, case: Case, noise: LandmarkNoise) -> None:
+    def __init__(self, case: Case, noise: LandmarkNoise, fit: Fit = fit_segment) -> None:
         self._case = case
         self._noise = noise
+        self._fit_marks = fit
         self._marks: dict[tuple[str, str], Annotation] = {
             (view, mark.label): mark for view, marks in case.annotations.items() for mark in marks
         }
@@ -105,7 +110,7 @@ class HypothesisTable:
         fits = {}
         for name in sorted(named) or self._case.implants:
             try:
-                fits[name] = fit_segment(cameras, tips, centers, self._case.implants[name].length_mm, self._noise)
+                fits[name] = self._fit_marks(cameras, tips, centers, self._case.implants[name].length_mm, self._noise)
             except GeometryError:
                 return None  # parallel rays, or they meet behind a source: for every model alike
         best, *others = sorted(fits, key=lambda name: fits[name].chi_square)

@@ -6,7 +6,7 @@ length at once; the sum of squared, normalised residuals is a chi-square whose d
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,30 +73,51 @@ def fit_segment(
     """
     from scipy.optimize import least_squares
 
-    tip, center = triangulate(cameras, tips_px), triangulate(cameras, centers_px)
-    start = np.concatenate([tip.point_in_world_mm, center.point_in_world_mm])
+    segment = triangulated_segment(cameras, tips_px, centers_px, length_mm, noise)
+    # Rays that pass so far from each other need no fit to be told apart, and would take the longest.
+    if segment.chi_square >= _HOPELESS_CHI_SQUARE:
+        return segment
+    start = np.concatenate([segment.tip_mm, segment.center_mm])
 
     def residuals(x: FloatArray) -> FloatArray:
-        ends = x.reshape(2, 3)
-        off_px = [
-            _project_anywhere(camera, ends) - np.vstack([tip_px, center_px])
-            for camera, tip_px, center_px in zip(cameras, tips_px, centers_px, strict=True)
-        ]
-        off_mm = float(np.linalg.norm(ends[1] - ends[0])) - length_mm
-        return np.append(np.ravel(off_px) / noise.sigma_px, off_mm / noise.length_sigma_mm)
+        return _residuals(x, cameras, tips_px, centers_px, length_mm, noise)
 
-    # Rays that pass so far from each other need no fit to be told apart, and would take the longest.
-    chi_square = float(np.sum(residuals(start) ** 2))
-    if chi_square < _HOPELESS_CHI_SQUARE:
-        chi_square = float(2.0 * least_squares(residuals, start, method="lm", x_scale=1.0).cost)
+    found = least_squares(residuals, start, method="lm", x_scale=1.0)
+    return replace(segment, chi_square=float(2.0 * found.cost))
+
+
+def triangulated_segment(
+    cameras: Sequence[Camera], tips_px: FloatArray, centers_px: FloatArray, length_mm: float, noise: LandmarkNoise
+) -> SegmentFit:
+    """Tip and centre triangulated each by itself, and the chi-square of that: where `fit_segment` begins."""
+    tip, center = triangulate(cameras, tips_px), triangulate(cameras, centers_px)
+    ends = np.concatenate([tip.point_in_world_mm, center.point_in_world_mm])
     return SegmentFit(
         tip_mm=tip.point_in_world_mm,
         center_mm=center.point_in_world_mm,
         residual_px=float(np.sqrt((tip.rms_px**2 + center.rms_px**2) / 2)),
-        measured_length_mm=float(np.linalg.norm(start[3:] - start[:3])),
-        chi_square=chi_square,
+        measured_length_mm=float(np.linalg.norm(ends[3:] - ends[:3])),
+        chi_square=float(np.sum(_residuals(ends, cameras, tips_px, centers_px, length_mm, noise) ** 2)),
         degrees_of_freedom=4 * len(cameras) + 1 - _FREE_PARAMETERS,
     )
+
+
+def _residuals(
+    x: FloatArray,
+    cameras: Sequence[Camera],
+    tips_px: FloatArray,
+    centers_px: FloatArray,
+    length_mm: float,
+    noise: LandmarkNoise,
+) -> FloatArray:
+    """Normalised residuals (4 V + 1,) of a tip and a centre, x = (6,) in world mm."""
+    ends = x.reshape(2, 3)
+    off_px = [
+        _project_anywhere(camera, ends) - np.vstack([tip_px, center_px])
+        for camera, tip_px, center_px in zip(cameras, tips_px, centers_px, strict=True)
+    ]
+    off_mm = float(np.linalg.norm(ends[1] - ends[0])) - length_mm
+    return np.append(np.ravel(off_px) / noise.sigma_px, off_mm / noise.length_sigma_mm)
 
 
 def _project_anywhere(camera: Camera, points_mm: FloatArray) -> FloatArray:

@@ -34,7 +34,8 @@ class SearchOptions:
     max_shift_mm : largest change of position along each world axis.
     max_tilt_deg : largest turn about each of the two axes across the screw.
     max_roll_deg : largest turn about the screw's own axis.
-    generations : at most so many; fewer when the population has come together.
+    generations : at most so many; fewer when the population has come together. 0: no search, `solve` leaves the
+        screws where their landmarks and the axial search put them.
     population : members for each degree of freedom (SciPy's ``popsize``).
     tolerance : the population has come together when the spread of its losses is below this share of their mean.
     seed : the same seed gives the same answer.
