@@ -35,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path, list[tup
         search=SearchOptions(generations=1, population=1),
     )
     with pytest.MonkeyPatch.context() as patch:
-        small = BenchmarkSet("small", make_small, None, "simulated", "two small cases")
+        small = BenchmarkSet("small", 1, make_small, None, "simulated", "two small cases")
         patch.setitem(benchmark_sets.SETS, "small", small)
         study = run_study("small", options, 2, 5, folder, lambda done, cases, *_: told.append((done, cases)))
     write_study(study, folder)
@@ -75,7 +75,7 @@ def test_a_case_that_cannot_be_computed_is_counted_as_refused(tmp_path: Path, mo
     def behind(*_: object) -> None:
         raise BehindSourceError("a vertex has depth -3 mm")
 
-    small = BenchmarkSet("small", make_small, None, "simulated", "two small cases")
+    small = BenchmarkSet("small", 1, make_small, None, "simulated", "two small cases")
     monkeypatch.setitem(benchmark_sets.SETS, "small", small)
     monkeypatch.setattr("screwpose.benchmark.study.solve", behind)
     study = run_study("small", SolveOptions(method="paper"), 1, 5, tmp_path)

@@ -40,11 +40,14 @@ class BenchmarkSet:
 
     Parameters
     ----------
+    version : of its cases. They never change under one version: a figure belongs to a set and its version.
+    make : makes one case in a folder, the same for the same seed and index whatever else was made.
     size : how many cases there are; None where they are made without end.
     origin : where the truth comes from, for the report.
     """
 
     name: str
+    version: int
     make: MakeCase
     size: int | None
     origin: str
@@ -140,6 +143,7 @@ def _biplane_pairs(folder: Path) -> list[dict[str, Any]]:
 SETS = {
     "paper": BenchmarkSet(
         "paper",
+        1,
         _make_paper,
         None,
         "simulated",
@@ -147,6 +151,7 @@ SETS = {
     ),
     "real": BenchmarkSet(
         "real",
+        1,
         _make_real,
         16,
         "an expert's pose, good to some tenths of a mm and of a degree",
