@@ -1,0 +1,96 @@
+"""The engine's losses and Dice scores are those of the reference, on the reference's own masks."""
+
+import numpy as np
+import pytest
+
+from screwpose.errors import BehindSourceError
+from screwpose.geometry import Camera, rigid
+from screwpose.implants import Mesh, ScrewDesign, make_screw
+from screwpose.projection import reference
+from screwpose.similarity import Posed, dice, gradient_correlation_loss, make_target, union_mask
+from screwpose.similarity.engine import SceneEngine
+
+SHAPE = (150, 230)
+CAMERAS = {
+    "AP": Camera.from_matrix(np.array([[500.0, 0, 114, 0], [0, 500.0, 74, 0], [0, 0, 1, 0]])),
+    "LAT": Camera.from_matrix(np.array([[0, 0, -500.0, 114 * 400 + 200000], [0, 500, 0, 74 * 400], [1.0, 0, 0, 400]])),
+}
+SHORT = ScrewDesign(segments=16, slot_lengths_mm=(30.0, 24.0), tower_length_mm=50.0)
+
+
+def scene_poses(rng: np.random.Generator, count: int, bodies: int) -> np.ndarray:
+    poses = np.tile(np.eye(4), (count, bodies, 1, 1))
+    for pose in poses.reshape(-1, 4, 4):
+        pose[:3, :3] = rigid.exp_rotation(rng.normal(size=3))
+        pose[:3, 3] = rng.uniform([-60, -40, 330], [60, 40, 420])
+    return poses
+
+
+@pytest.mark.parametrize("region_kind", ["all", "round", "ragged"])
+def test_scores_are_the_references(region_kind: str) -> None:
+    rng = np.random.default_rng(3)
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    region = {
+        "all": np.ones(SHAPE, bool),
+        "round": np.hypot(u - 114, v - 74) < 80,
+        "ragged": rng.random(SHAPE) < 0.9,
+    }[region_kind]
+    mesh = make_screw(SHORT).mesh
+    meshes = [mesh, Mesh(mesh.vertices_mm, mesh.faces[: len(mesh.faces) // 2])]  # one closed, one not
+    pixels = {name: rng.random(SHAPE, dtype=np.float32) for name in CAMERAS}
+    metal = {name: rng.random(SHAPE) < 0.2 for name in CAMERAS}
+    targets = {name: make_target(pixels[name], region, metal[name]) for name in CAMERAS}
+    poses = scene_poses(rng, 6, 2)
+    scores = SceneEngine(CAMERAS, targets, meshes).scores(poses)
+    covered = 0
+    for k, of_scene in enumerate(poses):
+        scene = [Posed(*one) for one in zip(meshes, of_scene, strict=True)]
+        for index, (name, camera) in enumerate(CAMERAS.items()):
+            mask = union_mask(camera, scene, SHAPE, reference.silhouette)
+            covered += int(mask.sum())
+            final = (mask & region).astype(np.float32)
+            assert scores.loss[k, index] == pytest.approx(
+                gradient_correlation_loss(final, pixels[name], region), abs=1e-9
+            )
+            assert scores.dice[k, index] == pytest.approx(dice(mask & region, metal[name] & region), abs=1e-12)
+    assert covered > 5000
+
+
+def test_bodies_across_and_beyond_the_border() -> None:
+    rng = np.random.default_rng(4)
+    region = np.ones(SHAPE, bool)
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    mesh = Mesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
+    camera = Camera.from_matrix(np.array([[100.0, 0, 114, 0], [0, 100.0, 74, 0], [0, 0, 1, 0]]))
+    pixels = rng.random(SHAPE, dtype=np.float32)
+    target = make_target(pixels, region, rng.random(SHAPE) < 0.3)
+    poses = np.tile(np.eye(4), (60, 1, 1, 1))
+    poses[:, 0, :3, 3] = np.column_stack([rng.uniform(-140, 140, 60), rng.uniform(-90, 90, 60), np.full(60, 100.0)])
+    poses[:, 0, :2, :2] *= rng.uniform(0.5, 40, 60)[:, None, None]
+    scores = SceneEngine({"AP": camera}, {"AP": target}, [mesh]).scores(poses)
+    for k, pose in enumerate(poses[:, 0]):
+        mask = union_mask(camera, [Posed(mesh, pose)], SHAPE, reference.silhouette)
+        assert scores.loss[k, 0] == pytest.approx(target.loss(mask), abs=1e-9)
+        assert scores.dice[k, 0] == pytest.approx(dice(mask, target.metal), abs=1e-12)
+    assert (scores.dice == 0.0).any()
+    assert (scores.dice > 0.15).any()
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    rng = np.random.default_rng(5)
+    mesh = make_screw(SHORT).mesh
+    targets = {
+        name: make_target(rng.random(SHAPE, dtype=np.float32), np.ones(SHAPE, bool), rng.random(SHAPE) < 0.2)
+        for name in CAMERAS
+    }
+    poses = scene_poses(rng, 7, 1)
+    one, three = (SceneEngine(CAMERAS, targets, [mesh], threads).scores(poses) for threads in (1, 3))
+    np.testing.assert_array_equal(one.loss, three.loss)
+    np.testing.assert_array_equal(one.dice, three.dice)
+
+
+def test_behind_the_source_is_an_error() -> None:
+    targets = {"AP": make_target(np.zeros(SHAPE, np.float32), np.ones(SHAPE, bool), np.zeros(SHAPE, bool))}
+    engine = SceneEngine(CAMERAS, targets, [make_screw(SHORT).mesh])
+    with pytest.raises(BehindSourceError, match="not in front of the X-ray source"):
+        engine.scores(np.eye(4)[None, None])
