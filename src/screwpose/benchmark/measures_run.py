@@ -1,0 +1,191 @@
+"""From the records of a run to its measures. Whatever order the records and their screws are in, the figures agree."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+
+from screwpose.benchmark import bootstrap
+from screwpose.benchmark.measures_blocks import (
+    Value,
+    distribution,
+    distributions,
+    error_values,
+    is_confident_wrong,
+    is_success,
+    mean,
+    rate,
+    share,
+)
+from screwpose.benchmark.measures_file import Bin, Calibration, Estimate, MethodMeasures, Rate, SetMeasures
+from screwpose.benchmark.measures_strata import STRATA, offset_bins, strata_bins
+from screwpose.benchmark.record import CaseRecord
+
+ERRORS = (
+    "tip_mm",
+    "center_mm",
+    "head_mm",
+    "axis_deg",
+    "roll_deg",
+    "mtre_mm",
+    "in_plane_mm",
+    "depth_mm",
+    "projection_px",
+)
+# The 68.27 % and 95.45 % quantiles of chi-square with 3 degrees of freedom: scipy.stats.chi2.ppf(share, 3).
+CHI2_1SIGMA = 3.5268221788659933
+CHI2_2SIGMA = 8.024894669075117
+
+
+def group(records: Iterable[CaseRecord]) -> dict[str, dict[str, list[CaseRecord]]]:
+    """Records by set and method, in the order in which these first appear, each list by index."""
+    grouped: dict[str, dict[str, list[CaseRecord]]] = {}
+    for record in records:
+        grouped.setdefault(record.set, {}).setdefault(record.method, []).append(record)
+    return {
+        name: {method: sorted(some, key=lambda one: one.index) for method, some in methods.items()}
+        for name, methods in grouped.items()
+    }
+
+
+def measures_of_set(methods: dict[str, list[CaseRecord]]) -> SetMeasures:
+    """The measures of all methods on one set."""
+    versions = sorted({record.set_version for records in methods.values() for record in records})
+    return SetMeasures(
+        version=", ".join(versions), methods={name: measures_of(records) for name, records in methods.items()}
+    )
+
+
+def measures_of(records: Sequence[CaseRecord]) -> MethodMeasures:
+    """The measures of one method on one set."""
+    return MethodMeasures(
+        cases=len(records),
+        screws=sum(len(record.screws) for record in records),
+        failed=sum(record.error is not None for record in records),
+        rates=_rates(records),
+        errors=distributions({key: error_values(records, key) for key in ERRORS}),
+        start=distributions({key: error_values(records, key, "start") for key in ERRORS}),
+        relations=distributions(_relations(records)),
+        parts=distributions(_parts(records)),
+        bias=_bias(records),
+        stages=distributions(_stages(records)),
+        coverage=_coverage(records),
+        calibration=calibration_of(records),
+        seconds=distribution([(index, record.seconds) for index, record in enumerate(records)]),
+        steps=distributions(_steps(records)),
+        strata={name: strata_bins(records, value, edges) for name, (value, edges) in STRATA.items()},
+        offsets=offset_bins(records),
+    )
+
+
+def _rates(records: Sequence[CaseRecord]) -> dict[str, Rate]:
+    flags: dict[str, Callable[[CaseRecord], bool]] = {
+        "right": lambda one: one.right,
+        "harmless_swap": lambda one: one.harmless_swap,
+        "confident": lambda one: one.pairing_status == "confident",
+        "confident_wrong": is_confident_wrong,
+        "ambiguous": lambda one: one.pairing_status == "ambiguous",
+        "refused": lambda one: one.pairing_status == "refused",
+        "success": is_success,
+    }
+    rates = {name: rate(map(flag, records)) for name, flag in flags.items()}
+    true, right = sum(one.pairs_true for one in records), sum(one.pairs_right for one in records)
+    if true:
+        # The pairs of a case are right or wrong together: the interval counts cases, not pairs.
+        cases = sum(one.pairs_true > 0 for one in records)
+        rates["pairs_right"] = share(right, true, trials=cases)
+    for stage in ("pre", "post"):
+        stages = [getattr(one, stage) for one in records]
+        named = [one.chosen_right for one in stages if one is not None and one.chosen_right is not None]
+        if named:
+            rates[f"dice_{stage}_right"] = rate(named)
+    return rates
+
+
+def _relations(records: Sequence[CaseRecord]) -> dict[str, list[Value]]:
+    values: dict[str, list[Value]] = defaultdict(list)
+    for index, record in enumerate(records):
+        for one in record.relations:
+            values[f"{one.between}_mm"].append((index, abs(one.distance_mm)))
+            values["angle_deg"].append((index, abs(one.angle_deg)))
+    return values
+
+
+def _parts(records: Sequence[CaseRecord]) -> dict[str, list[Value]]:
+    values: dict[str, list[Value]] = defaultdict(list)
+    for index, record in enumerate(records):
+        for screw in record.screws:
+            for name, part in (screw.parts or {}).items():
+                values[f"{name}_axis_deg"].append((index, part.axis_deg))
+                values[f"{name}_turn_deg"].append((index, part.turn_deg))
+    return values
+
+
+def _bias(records: Sequence[CaseRecord]) -> dict[str, Estimate]:
+    values: dict[str, list[Value]] = defaultdict(list)
+    for index, record in enumerate(records):
+        for screw in record.screws:
+            if screw.errors is None:
+                continue
+            if screw.errors.roll_deg is not None:
+                values["roll_deg"].append((index, screw.errors.roll_deg))
+            for axis, shift in zip("xyz", screw.errors.shift_in_cad_mm or (), strict=False):
+                values[f"shift_{axis}_in_cad_mm"].append((index, shift))
+            for view, seen in screw.errors.views.items():
+                values[f"depth_mm_{view}"].append((index, seen.depth_mm))
+    return {name: mean(some) for name, some in values.items()}
+
+
+def _stages(records: Sequence[CaseRecord]) -> dict[str, list[Value]]:
+    values: dict[str, list[Value]] = defaultdict(list)
+    for index, record in enumerate(records):
+        for stage in ("pre", "post"):
+            block = getattr(record, stage)
+            for key in ("dice", "loss", "other_dice", "other_loss"):
+                value = None if block is None else getattr(block, key)
+                if value is not None:
+                    values[f"{stage}_{key}"].append((index, value))
+    return values
+
+
+def _steps(records: Sequence[CaseRecord]) -> dict[str, list[Value]]:
+    values: dict[str, list[Value]] = defaultdict(list)
+    for index, record in enumerate(records):
+        for step, seconds in record.timing_s.items():
+            values[step].append((index, seconds))
+    return values
+
+
+def _coverage(records: Sequence[CaseRecord]) -> dict[str, Rate]:
+    checked = [
+        (index, screw.sigma.mahalanobis2)
+        for index, record in enumerate(records)
+        for screw in record.screws
+        if screw.sigma is not None and screw.sigma.mahalanobis2 is not None
+    ]
+    if not checked:
+        return {}
+    cases = len({index for index, _ in checked})
+    bounds = {"tip_1sigma": CHI2_1SIGMA, "tip_2sigma": CHI2_2SIGMA}
+    return {
+        name: share(sum(value <= bound for _, value in checked), len(checked), trials=cases)
+        for name, bound in bounds.items()
+    }
+
+
+def calibration_of(records: Sequence[CaseRecord]) -> Calibration | None:
+    """Over the cases that have a probability; None without any."""
+    told = [(record.probability, record.right) for record in records if record.probability is not None]
+    bins = bootstrap.calibration_bins([p for p, _ in told], [right for _, right in told])
+    error = bootstrap.calibration_error(bins)
+    if error is None:
+        return None
+    listed = tuple(
+        Bin(
+            low=one.low,
+            high=one.high,
+            cases=one.cases,
+            mean_probability=one.mean_probability,
+            right=share(one.right, one.cases),
+        )
+        for one in bins
+    )
+    return Calibration(cases=len(told), error=error, bins=listed)
