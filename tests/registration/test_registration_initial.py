@@ -52,7 +52,7 @@ def test_the_axial_search_finds_the_flag(true_roll_deg: float) -> None:
     def loss(pose: np.ndarray) -> float:
         return float(np.sum((rigid.transform(pose, FLAG.vertices_mm) - want) ** 2))
 
-    found = axial_search(IMPLANT, start, loss)
+    found = axial_search(IMPLANT, start, lambda poses: np.array([loss(pose) for pose in poses]))
     off_deg = (np.degrees(found.roll_rad) - true_roll_deg + 180) % 360 - 180
     assert abs(off_deg) <= 1.0 + 1e-9
     np.testing.assert_allclose(loss(found.world_from_cad), found.loss)
@@ -60,4 +60,4 @@ def test_the_axial_search_finds_the_flag(true_roll_deg: float) -> None:
 
 def test_a_body_of_revolution_keeps_its_start() -> None:
     start = align(IMPLANT, np.array([4.0, 5, 6]), np.array([4.0, 25, 6]))
-    assert axial_search(IMPLANT, start, lambda _: 0.5).roll_rad == 0.0
+    assert axial_search(IMPLANT, start, lambda poses: np.full(len(poses), 0.5)).roll_rad == 0.0

@@ -7,7 +7,15 @@ from screwpose.errors import CancelledError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants.model import Implant, Mesh
 from screwpose.projection import opencv
-from screwpose.registration import SearchOptions, moved, register, search_window
+from screwpose.registration import (
+    SearchOptions,
+    drawn_losses,
+    moved,
+    moved_by_each,
+    register,
+    search_window,
+    search_windows,
+)
 from screwpose.similarity import Posed, make_target, union_mask
 
 SHAPE = (96, 128)
@@ -35,6 +43,13 @@ def scene_targets(poses: list[np.ndarray]) -> dict:
     return targets
 
 
+def found_by(starts: list, targets: dict, options: SearchOptions, progress=None):
+    implants, meshes = [IMPLANT] * len(starts), [MESH] * len(starts)
+    windows = search_windows(implants, meshes, starts, CAMERAS, targets, options)
+    losses = drawn_losses(meshes, CAMERAS, targets, opencv.silhouette, windows)
+    return register(implants, starts, losses, options, progress)
+
+
 TRUTH = rigid.exp(np.array([0.1, 0.5, 0.2, 1.0, 2.0, -3.0]))
 START = moved(IMPLANT, TRUTH, np.array([0.12, -0.05, 0.04, 1.5, -1.2, 1.8]))
 OPTIONS = SearchOptions(max_shift_mm=3.0, generations=40, population=6, seed=3)
@@ -46,12 +61,23 @@ def test_moved_turns_about_the_centre_by_hand() -> None:
     np.testing.assert_allclose(rigid.transform(pose, np.array([1.0, 5, 0])), [0, 5, 6], atol=1e-12)
 
 
+def test_many_changes_at_once_are_those_one_by_one() -> None:
+    changes = np.random.default_rng(1).normal(size=(5, 6))
+    turn = [rigid.exp_rotation(change[:3]) for change in changes]
+    np.testing.assert_allclose(rigid.exp_rotations(changes[:, :3]), turn, atol=1e-14)
+    np.testing.assert_allclose(
+        rigid.exp_rotations(1e-9 * changes[:, :3]),
+        [rigid.exp_rotation(1e-9 * change[:3]) for change in changes],
+        atol=1e-18,
+    )
+    many = moved_by_each(IMPLANT, TRUTH, changes)
+    np.testing.assert_allclose(many, [moved(IMPLANT, TRUTH, change) for change in changes], atol=1e-12)
+
+
 def test_it_finds_the_pose_that_drew_the_masks() -> None:
     targets = scene_targets([TRUTH])
     told: list[float] = []
-    found = register(
-        [IMPLANT], [MESH], [START], CAMERAS, targets, opencv.silhouette, OPTIONS, lambda f, _: told.append(f)
-    )
+    found = found_by([START], targets, OPTIONS, lambda f, _: told.append(f))
     offset = rigid.log(rigid.invert(TRUTH) @ found.world_from_cad[0])
     start_offset = rigid.log(rigid.invert(TRUTH) @ START)
     # A pixel is 0.75 mm here; the masks hold the pose to a fraction of it.
@@ -67,10 +93,7 @@ def test_it_finds_the_pose_that_drew_the_masks() -> None:
 def test_the_same_seed_gives_the_same_answer_and_another_seed_another() -> None:
     targets = scene_targets([TRUTH])
     few = [SearchOptions(generations=3, population=3, seed=seed) for seed in (1, 1, 2)]
-    poses = [
-        register([IMPLANT], [MESH], [START], CAMERAS, targets, opencv.silhouette, options).world_from_cad[0]
-        for options in few
-    ]
+    poses = [found_by([START], targets, options).world_from_cad[0] for options in few]
     np.testing.assert_array_equal(poses[0], poses[1])
     assert np.abs(poses[0] - poses[2]).max() > 1e-6
 
@@ -78,7 +101,7 @@ def test_the_same_seed_gives_the_same_answer_and_another_seed_another() -> None:
 def test_the_end_is_never_worse_than_the_start() -> None:
     targets = scene_targets([TRUTH])
     none = SearchOptions(generations=1, population=2, max_shift_mm=30.0, max_tilt_deg=40.0)
-    found = register([IMPLANT], [MESH], [TRUTH], CAMERAS, targets, opencv.silhouette, none)
+    found = found_by([TRUTH], targets, none)
     np.testing.assert_allclose(found.loss, -1.0)
     np.testing.assert_allclose(found.world_from_cad[0], TRUTH)
 
@@ -88,7 +111,7 @@ def test_a_start_too_far_off_ends_at_a_bound_and_says_so() -> None:
     off = TRUTH.copy()
     off[0, 3] += 8.0
     tight = SearchOptions(generations=30, population=6, max_shift_mm=4.0, max_tilt_deg=1.0, max_roll_deg=1.0)
-    found = register([IMPLANT], [MESH], [off], CAMERAS, targets, opencv.silhouette, tight)
+    found = found_by([off], targets, tight)
     assert found.at_bound == (True,)
 
 
@@ -96,9 +119,7 @@ def test_two_screws_are_registered_together() -> None:
     second = TRUTH.copy()
     second[:3, 3] += [22.0, -9.0, 14.0]
     starts = [START, moved(IMPLANT, second, np.array([-0.08, 0.05, 0.03, -1.0, 1.1, 0.6]))]
-    found = register(
-        [IMPLANT] * 2, [MESH] * 2, starts, CAMERAS, scene_targets([TRUTH, second]), opencv.silhouette, OPTIONS
-    )
+    found = found_by(starts, scene_targets([TRUTH, second]), OPTIONS)
     for pose, truth in zip(found.world_from_cad, (TRUTH, second), strict=True):
         assert np.linalg.norm(rigid.log(rigid.invert(truth) @ pose)[3:]) < 1.0
     assert found.loss < -0.8
@@ -109,7 +130,7 @@ def test_cancelling_stops_it() -> None:
         raise CancelledError("stopped by the user")
 
     with pytest.raises(CancelledError, match="stopped by the user"):
-        register([IMPLANT], [MESH], [START], CAMERAS, scene_targets([TRUTH]), opencv.silhouette, OPTIONS, stop)
+        found_by([START], scene_targets([TRUTH]), OPTIONS, stop)
 
 
 def test_no_change_within_the_bounds_leaves_the_window() -> None:

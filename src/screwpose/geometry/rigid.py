@@ -50,6 +50,17 @@ def exp_rotation(rotation_vector_rad: FloatArray) -> FloatArray:
     return np.eye(3) + a * K + b * (K @ K)
 
 
+def exp_rotations(rotation_vectors_rad: FloatArray) -> FloatArray:
+    """Rotation matrices (K, 3, 3) of rotation vectors (K, 3): `exp_rotation` of many at once."""
+    x = np.asarray(rotation_vectors_rad, dtype=np.float64)
+    angle = np.linalg.norm(x, axis=1)
+    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2  # sin(x)/x and (1 - cos x)/x^2
+    K = np.zeros((len(x), 3, 3))
+    K[:, 2, 1], K[:, 0, 2], K[:, 1, 0] = x.T
+    K -= np.swapaxes(K, 1, 2)
+    return np.asarray(np.eye(3) + a[:, None, None] * K + b[:, None, None] * (K @ K))
+
+
 def log_rotation(rotation: FloatArray) -> FloatArray:
     """Rotation vector (3,), rad, of length at most pi, of a rotation matrix (3, 3).
 

@@ -13,8 +13,28 @@ from screwpose.files.case import Case
 from screwpose.geometry import Camera
 from screwpose.implants.model import Implant, Mesh
 from screwpose.pairing.hypotheses import Combination, Hypothesis
-from screwpose.registration import Progress, SearchOptions, SearchResult, align, axial_search, register
-from screwpose.similarity import Posed, SceneScore, Silhouette, Target, ViewScore, dice, score_scene, union_mask
+from screwpose.registration import (
+    Progress,
+    SceneLosses,
+    SearchOptions,
+    SearchResult,
+    align,
+    axial_search,
+    drawn_losses,
+    register,
+    search_windows,
+)
+from screwpose.similarity import (
+    Posed,
+    SceneEngine,
+    SceneScore,
+    Silhouette,
+    Target,
+    ViewScore,
+    dice,
+    score_scene,
+    union_mask,
+)
 
 Poses = tuple[FloatArray, ...]
 """world_from_cad (4, 4) of each screw of a combination, in its order."""
@@ -31,6 +51,8 @@ class Evidence:
     ----------
     targets : by view; the metal for the Dice score is empty until `with_metal`.
     search_meshes : by model, reduced: drawn in searches. Scores are those of the implants' own meshes.
+    silhouette : how masks are drawn.
+    is_quick : searches score bit rows (`SceneEngine`, the rule of a pixel's centre) instead of drawing masks.
     """
 
     cameras: Mapping[str, Camera]
@@ -38,14 +60,16 @@ class Evidence:
     implants: Mapping[str, Implant]
     search_meshes: Mapping[str, Mesh]
     silhouette: Silhouette
+    is_quick: bool = False
 
 
-def gather(case: Case, faces: int | None, silhouette: Silhouette) -> Evidence:
+def gather(case: Case, faces: int | None, silhouette: Silhouette, is_quick: bool = False) -> Evidence:
     """Prepare the X-rays and the models of a case.
 
     Parameters
     ----------
     faces : triangles a model is reduced to for the searches; None for the CAD as it is.
+    silhouette, is_quick : as `Evidence` has them.
     """
     from screwpose.implants.mesh import reduced
     from screwpose.similarity import make_target
@@ -58,7 +82,7 @@ def gather(case: Case, faces: int | None, silhouette: Silhouette) -> Evidence:
         name: implant.mesh if faces is None else reduced(implant.mesh, faces) for name, implant in case.implants.items()
     }
     cameras = {name: view.camera for name, view in case.views.items()}
-    return Evidence(cameras, targets, case.implants, meshes, silhouette)
+    return Evidence(cameras, targets, case.implants, meshes, silhouette, is_quick)
 
 
 def place(evidence: Evidence, hypothesis: Hypothesis) -> FloatArray:
@@ -68,18 +92,10 @@ def place(evidence: Evidence, hypothesis: Hypothesis) -> FloatArray:
     -------
     world_from_cad (4, 4).
     """
-    implant, mesh = evidence.implants[hypothesis.model], evidence.search_meshes[hypothesis.model]
-
-    def loss(world_from_cad: FloatArray) -> float:
-        scene = [Posed(mesh, world_from_cad)]
-        losses = [
-            target.loss(union_mask(evidence.cameras[name], scene, target.shape, evidence.silhouette))
-            for name, target in evidence.targets.items()
-        ]
-        return float(np.mean(losses))
-
+    implant = evidence.implants[hypothesis.model]
     start = align(implant, hypothesis.fit.tip_mm, hypothesis.fit.center_mm)
-    return axial_search(implant, start, loss).world_from_cad
+    losses = _losses(evidence, [hypothesis.model])
+    return axial_search(implant, start, lambda world_from_cad: losses(world_from_cad[:, None])).world_from_cad
 
 
 def with_metal(evidence: Evidence, case: Case, placed: Sequence[tuple[Combination, Poses]]) -> Evidence:
@@ -138,16 +154,25 @@ def refine(
     evidence: Evidence, combination: Combination, poses: Poses, options: SearchOptions, progress: Progress | None
 ) -> SearchResult:
     """Step 7: all screws of the combination together, by differential evolution."""
-    return register(
-        [evidence.implants[hypothesis.model] for hypothesis in combination.hypotheses],
-        [evidence.search_meshes[hypothesis.model] for hypothesis in combination.hypotheses],
-        poses,
-        evidence.cameras,
-        evidence.targets,
-        evidence.silhouette,
-        options,
-        progress,
-    )
+    models = [hypothesis.model for hypothesis in combination.hypotheses]
+    implants = [evidence.implants[model] for model in models]
+    return register(implants, poses, _losses(evidence, models, poses, options), options, progress)
+
+
+def _losses(
+    evidence: Evidence, models: Sequence[str], start: Poses = (), options: SearchOptions | None = None
+) -> SceneLosses:
+    """The mean loss over the views of scenes of these models; within the search's reach of a start, if one is given."""
+    meshes = [evidence.search_meshes[model] for model in models]
+    if evidence.is_quick:
+        engine = SceneEngine(evidence.cameras, evidence.targets, meshes)
+        return lambda world_from_cad: np.asarray(engine.scores(world_from_cad).loss.mean(axis=1))
+    windows = None
+    if options is not None:
+        windows = search_windows(
+            [evidence.implants[model] for model in models], meshes, start, evidence.cameras, evidence.targets, options
+        )
+    return drawn_losses(meshes, evidence.cameras, evidence.targets, evidence.silhouette, windows)
 
 
 def _scene(evidence: Evidence, combination: Combination, poses: Poses) -> list[Posed]:

@@ -51,7 +51,9 @@ class AxialSearch:
     loss: float
 
 
-def axial_search(implant: Implant, world_from_cad: FloatArray, loss: Callable[[FloatArray], float]) -> AxialSearch:
+def axial_search(
+    implant: Implant, world_from_cad: FloatArray, losses: Callable[[FloatArray], FloatArray]
+) -> AxialSearch:
     """Search the rotation about V over the full turn for the lowest loss.
 
     Every 10 degrees, then every 2 degrees around the three best valleys: silhouettes repeat after half a turn, and the
@@ -60,20 +62,20 @@ def axial_search(implant: Implant, world_from_cad: FloatArray, loss: Callable[[F
 
     Parameters
     ----------
-    loss : of a pose world_from_cad (4, 4).
+    losses : of K poses world_from_cad (K, 4, 4), (K,); called twice.
     """
 
-    def loss_at(roll_deg: float) -> float:
-        return loss(turned(implant, world_from_cad, float(np.radians(roll_deg))))
+    def losses_at(rolls_deg: FloatArray) -> FloatArray:
+        return losses(np.stack([turned(implant, world_from_cad, float(roll)) for roll in np.radians(rolls_deg)]))
 
     coarse_deg = np.arange(0.0, 360.0, _COARSE_STEP_DEG)
-    losses = np.array([loss_at(float(roll)) for roll in coarse_deg])
-    is_valley = (losses <= np.roll(losses, 1)) & (losses <= np.roll(losses, -1))
-    valleys = coarse_deg[is_valley][np.argsort(losses[is_valley], kind="stable")][:_VALLEYS]
+    coarse = losses_at(coarse_deg)
+    is_valley = (coarse <= np.roll(coarse, 1)) & (coarse <= np.roll(coarse, -1))
+    valleys = coarse_deg[is_valley][np.argsort(coarse[is_valley], kind="stable")][:_VALLEYS]
     around = np.arange(-_COARSE_STEP_DEG + _FINE_STEP_DEG, _COARSE_STEP_DEG, _FINE_STEP_DEG)
     around = around[np.argsort(np.abs(around), kind="stable")]  # the smallest first: it wins among equals
-    fine_deg = [float(valley + step) for valley in valleys for step in around]
-    fine = [loss_at(roll) for roll in fine_deg]
+    fine_deg = (valleys[:, None] + around).ravel()
+    fine = losses_at(fine_deg)
     best = int(np.argmin(fine))
     roll_rad = float(np.radians((fine_deg[best] + 180.0) % 360.0 - 180.0))
-    return AxialSearch(roll_rad, turned(implant, world_from_cad, roll_rad), fine[best])
+    return AxialSearch(roll_rad, turned(implant, world_from_cad, roll_rad), float(fine[best]))

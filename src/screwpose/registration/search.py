@@ -1,17 +1,19 @@
 """Step 7 of the paper: all screws together, six degrees of freedom each, by differential evolution."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from screwpose._types import FloatArray
-from screwpose.geometry import Camera, rigid
-from screwpose.implants.model import Implant, Mesh
-from screwpose.similarity import Posed, Silhouette, Target, Window, union_mask
+from screwpose.geometry import rigid
+from screwpose.implants.model import Implant
 
 Progress = Callable[[float, str], None]
 """``progress(fraction, what)``: told how far the work is; may raise CancelledError to stop it."""
+SceneLosses = Callable[[FloatArray], FloatArray]
+"""``losses(world_from_cad)``: of K scenes of B bodies, (K, B, 4, 4), the mean loss over the views, (K,)."""
 
 
 # Against SciPy's defaults (0.5 to 1, 0.7) the same 3,900 evaluations end 6 to 10 % lower in loss (three development
@@ -81,11 +83,17 @@ def moved(implant: Implant, world_from_cad: FloatArray, change: FloatArray) -> F
     The rotation vector is in the screw's own frame (along V, then two axes across), the shift in world mm. Turning
     about the centre of the screw keeps the turn from throwing it across the image when the CAD's origin is far away.
     """
-    to_axis = _frame_along(implant.axis)
-    turn = rigid.from_rotation_about(rigid.exp_rotation(to_axis @ change[:3]), implant.center_mm)
-    pose = world_from_cad @ turn
-    pose[:3, 3] += change[3:]
-    return pose
+    return np.asarray(moved_by_each(implant, world_from_cad, np.asarray(change)[None])[0])
+
+
+def moved_by_each(implant: Implant, world_from_cad: FloatArray, changes: FloatArray) -> FloatArray:
+    """The poses (K, 4, 4) after each of K changes (K, 6); see `moved`."""
+    turns = rigid.exp_rotations(changes[:, :3] @ _frame_along(implant.axis).T)
+    poses = np.tile(np.eye(4), (len(changes), 1, 1))
+    poses[:, :3, :3] = world_from_cad[:3, :3] @ turns
+    center_in_world = rigid.transform(world_from_cad, implant.center_mm)
+    poses[:, :3, 3] = center_in_world - poses[:, :3, :3] @ implant.center_mm + changes[:, 3:]
+    return poses
 
 
 def _frame_along(axis: FloatArray) -> FloatArray:
@@ -95,43 +103,10 @@ def _frame_along(axis: FloatArray) -> FloatArray:
     return np.column_stack([axis, across, np.cross(axis, across)])
 
 
-def search_window(
-    camera: Camera,
-    posed: Sequence[Posed],
-    centers_mm: Sequence[FloatArray],
-    shape: tuple[int, int],
-    options: SearchOptions,
-) -> Window:
-    """The part of the image that the scene cannot leave within the search's bounds, and one pixel more."""
-    turn_rad = float(np.linalg.norm(np.radians([options.max_roll_deg, options.max_tilt_deg, options.max_tilt_deg])))
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for one, center_mm in zip(posed, centers_mm, strict=True):
-        vertices = rigid.transform(one.world_from_cad, one.mesh.vertices_mm)
-        reach_mm = np.linalg.norm(one.mesh.vertices_mm - center_mm, axis=1)
-        # A chord is no longer than its arc, and perspective is covered by the nearest depth.
-        travel_mm = reach_mm * min(turn_rad, 2.0) + np.sqrt(3.0) * options.max_shift_mm
-        pixels = camera.project(vertices)
-        nearest_mm = np.maximum(camera.depth_mm(vertices) - travel_mm, 1.0)
-        focal_px = float(np.max(np.diag(camera.intrinsics)[:2]))
-        off_axis = np.linalg.norm((pixels - camera.intrinsics[:2, 2]) / focal_px, axis=1)
-        margin_px = (focal_px * travel_mm * (1.0 + off_axis) / nearest_mm)[:, None] + 2.0
-        low, high = (
-            np.minimum(low, (pixels - margin_px).min(axis=0)),
-            np.maximum(high, (pixels + margin_px).max(axis=0)),
-        )
-    rows, columns = shape
-    first = np.clip(np.floor(low), 0, [columns - 1, rows - 1]).astype(int)
-    last = np.clip(np.ceil(high), first + 1, [columns, rows]).astype(int)
-    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
-
-
 def register(
     implants: Sequence[Implant],
-    meshes: Sequence[Mesh],
     start_world_from_cad: Sequence[FloatArray],
-    cameras: Mapping[str, Camera],
-    targets: Mapping[str, Target],
-    silhouette: Silhouette,
+    losses: SceneLosses,
     options: SearchOptions,
     progress: Progress | None = None,
 ) -> SearchResult:
@@ -139,9 +114,9 @@ def register(
 
     Parameters
     ----------
-    implants : one for each screw: landmarks and axis.
-    meshes : what is projected for each, the CAD as given or reduced.
+    implants : one for each of the B screws: landmarks and axis.
     start_world_from_cad : a pose (4, 4) for each; it is a member of the first generation, so the end is never worse.
+    losses : of K scenes, called once a generation.
     progress : told the fraction done after every generation; what it raises stops the search.
 
     References
@@ -151,23 +126,15 @@ def register(
     from scipy.optimize import Bounds, differential_evolution
 
     start = [np.asarray(pose, dtype=np.float64) for pose in start_world_from_cad]
-    centers = [implant.center_mm for implant in implants]
-    scene = [Posed(mesh, pose) for mesh, pose in zip(meshes, start, strict=True)]
-    windows = {
-        name: search_window(cameras[name], scene, centers, target.shape, options) for name, target in targets.items()
-    }
 
-    def poses(x: FloatArray) -> list[FloatArray]:
-        changes = np.reshape(x, (len(implants), 6))
-        return [moved(*one) for one in zip(implants, start, changes, strict=True)]
+    def poses(x: FloatArray) -> FloatArray:
+        """Candidates (6 B, K) as scenes (K, B, 4, 4)."""
+        changes = np.reshape(x.T, (-1, len(implants), 6))
+        each = [moved_by_each(*one, changes[:, index]) for index, one in enumerate(zip(implants, start, strict=True))]
+        return np.stack(each, axis=1)
 
-    def loss(x: FloatArray) -> float:
-        scene = [Posed(mesh, pose) for mesh, pose in zip(meshes, poses(x), strict=True)]
-        losses = [
-            target.loss(union_mask(cameras[name], scene, target.shape, silhouette, windows[name]), windows[name])
-            for name, target in targets.items()
-        ]
-        return float(np.mean(losses))
+    def losses_at(x: FloatArray) -> Any:  # SciPy's stubs know no vectorized objective
+        return losses(poses(x))
 
     generation = 0
 
@@ -180,7 +147,7 @@ def register(
 
     limits = np.tile(bounds_rad_mm(options), len(implants))
     found = differential_evolution(
-        loss,
+        losses_at,
         bounds=Bounds(-limits, limits),
         maxiter=options.generations,
         popsize=options.population,
@@ -192,8 +159,9 @@ def register(
         mutation=_MUTATION,
         recombination=_RECOMBINATION,
         updating="deferred",
+        vectorized=True,
         callback=after_generation,
     )
     near_bound = (np.abs(found.x) > _NEAR_BOUND * limits).reshape(-1, 6)
     at_bound = tuple(bool(of_screw.any()) for of_screw in near_bound)
-    return SearchResult(tuple(poses(found.x)), float(found.fun), int(found.nfev), at_bound)
+    return SearchResult(tuple(poses(found.x[:, None])[0]), float(found.fun), int(found.nfev), at_bound)
