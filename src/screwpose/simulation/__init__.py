@@ -14,21 +14,26 @@ if TYPE_CHECKING:
     from screwpose.simulation.materials import MATERIALS, Material
     from screwpose.simulation.pathlength import path_length_mm
     from screwpose.simulation.scenes import SimulatedCase, SimulatedView, two_screw_scene
+    from screwpose.simulation.volume import CtVolume, read_ct
     from screwpose.simulation.writing import write_case
-    from screwpose.simulation.xray import Body, SimulatedXray, render, transmission
+    from screwpose.simulation.xray import Body, Layer, SimulatedXray, render, render_views, transmission
 
 __all__ = [
     "MATERIALS",
     "Body",
     "CArm",
+    "CtVolume",
     "Detector",
+    "Layer",
     "Material",
     "SimulatedCase",
     "SimulatedView",
     "SimulatedXray",
     "carm_camera",
     "path_length_mm",
+    "read_ct",
     "render",
+    "render_views",
     "transmission",
     "two_screw_scene",
     "write_case",
@@ -38,14 +43,18 @@ _MODULE_OF = {
     "MATERIALS": "materials",
     "Body": "xray",
     "CArm": "carm",
+    "CtVolume": "volume",
     "Detector": "detector",
+    "Layer": "xray",
     "Material": "materials",
     "SimulatedCase": "scenes",
     "SimulatedView": "scenes",
     "SimulatedXray": "xray",
     "carm_camera": "carm",
     "path_length_mm": "pathlength",
+    "read_ct": "volume",
     "render": "xray",
+    "render_views": "xray",
     "transmission": "xray",
     "two_screw_scene": "scenes",
     "write_case": "writing",

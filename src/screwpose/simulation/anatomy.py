@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from screwpose._types import FloatArray
-from screwpose.geometry.rigid import exp_rotation, transform
+from screwpose.geometry.rigid import exp_rotation
 from screwpose.implants.model import Mesh
 from screwpose.simulation import solids
 from screwpose.simulation.materials import (
@@ -22,7 +22,7 @@ from screwpose.simulation.materials import (
     MUSCLE,
     VISCERA,
 )
-from screwpose.simulation.xray import Body
+from screwpose.simulation.xray import Body, Layer
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -106,13 +106,18 @@ def _spine(anatomy: Anatomy, rng: np.random.Generator, levels: range) -> list[Bo
         # Vertebrae grow downwards, and no two are alike.
         growth = np.append(rng.uniform(0.98, 1.02, 2) * [1.0 - 0.02 * level, 1.0 - 0.01 * level], 1.0)
         pose = world_from_level(anatomy, level)
-        for mesh, material, replaces, texture in (
-            (outer, CORTICAL_BONE, MUSCLE, 0.05),
-            (inner, CANCELLOUS_BONE, CORTICAL_BONE, 0.08),
+        for mesh, material, layer, texture in (
+            (outer, CORTICAL_BONE, Layer.CORTEX, 0.08),
+            (inner, CANCELLOUS_BONE, Layer.MARROW, 0.25),
         ):
             grown = replace(mesh, vertices_mm=mesh.vertices_mm * growth)
-            bodies.append(Body(grown, material, replaces, pose, sharp=False, texture=texture, texture_mm=1.5))
-        bodies.append(Body(disc, DISC, MUSCLE, world_from_level(anatomy, level + 0.5), sharp=False))
+            bodies.append(
+                Body(
+                    grown, material, pose, sharp=False, texture=texture, texture_mm=1.5, layer=layer,
+                    texture_seed=int(rng.integers(1 << 32)),
+                )
+            )  # fmt: skip
+        bodies.append(Body(disc, DISC, world_from_level(anatomy, level + 0.5), sharp=False, layer=Layer.DISC))
     return bodies
 
 
@@ -182,13 +187,31 @@ def _torso(anatomy: Anatomy, rng: np.random.Generator) -> list[Body]:
     )
     skin = _tube(np.array([anatomy.half_width, depth]), middle, 2.4, 300.0, anatomy.lordosis_radius, rng)
     bodies = [
-        Body(skin, FAT, sharp=False, texture=0.004, texture_mm=9),
-        Body(trunk, MUSCLE, FAT, sharp=False, texture=0.012, texture_mm=6),
-        Body(solids.mesh(belly), VISCERA, MUSCLE, sharp=False, texture=0.03, texture_mm=14),
+        Body(
+            skin, FAT, sharp=False, texture=0.01, texture_mm=9, layer=Layer.FAT, texture_seed=int(rng.integers(1 << 32))
+        ),
+        Body(
+            trunk,
+            MUSCLE,
+            sharp=False,
+            texture=0.04,
+            texture_mm=6,
+            layer=Layer.MUSCLE,
+            texture_seed=int(rng.integers(1 << 32)),
+        ),
+        Body(
+            solids.mesh(belly),
+            VISCERA,
+            sharp=False,
+            texture=0.08,
+            texture_mm=14,
+            layer=Layer.VISCERA,
+            texture_seed=int(rng.integers(1 << 32)),
+        ),
     ]
     if anatomy.gas_bubbles:
         gas = _bowel_gas(anatomy, belly_half, belly_y, rng) ^ belly
-        bodies.append(Body(solids.mesh(gas), GAS, VISCERA, sharp=False))
+        bodies.append(Body(solids.mesh(gas), GAS, sharp=False, layer=Layer.GAS))
     return bodies
 
 
@@ -224,14 +247,3 @@ def _bowel_gas(anatomy: Anatomy, belly_half: FloatArray, belly_y: float, rng: np
             bubbles.append(solids.blob((at, half)))
             at = at + 13.0 * course / np.linalg.norm(course) + rng.normal(size=3) * 3.0
     return solids.union(bubbles)
-
-
-def carved(tissues: list[Body], metal: Mesh, world_from_metal: FloatArray) -> list[Body]:
-    """Bodies that take the tissues away where an implant is, so that no ray counts both."""
-    in_world = Mesh(transform(world_from_metal, metal.vertices_mm), metal.faces)
-    holes = []
-    for tissue in tissues:
-        shared = solids.intersection(in_world, Mesh(tissue.vertices_in_world_mm, tissue.mesh.faces))
-        if shared is not None:
-            holes.append(Body(shared, tissue.replaces, tissue.material))
-    return holes

@@ -14,11 +14,11 @@ from screwpose.files.result import PosedImplant
 from screwpose.geometry.camera import Camera
 from screwpose.implants.design import ScrewDesign
 from screwpose.implants.model import Implant
-from screwpose.simulation.anatomy import carved, patient
+from screwpose.simulation.anatomy import patient
 from screwpose.simulation.arrangement import Arrangement, arrange, landmarks_px
 from screwpose.simulation.detector import Detector
 from screwpose.simulation.materials import COBALT_CHROME, STEEL, TITANIUM
-from screwpose.simulation.xray import Body, SimulatedXray, render
+from screwpose.simulation.xray import Body, Layer, SimulatedXray, render_views
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +85,10 @@ def two_screw_scene(
     metal = [TITANIUM, TITANIUM, COBALT_CHROME, STEEL][int(metal_rng.integers(4))]
     bodies = list(tissues)
     for implant, pose in zip(scene.implants, scene.poses, strict=True):
-        bodies += [Body(implant.mesh, metal, world_from_body=pose), *carved(tissues, implant.mesh, pose)]
+        bodies.append(Body(implant.mesh, metal, world_from_body=pose, layer=Layer.IMPLANT))
     chain = random_detector(detector_rng, image_size)
-    views = {
-        name: SimulatedView(camera, render(camera, bodies, chain, rng))
-        for (name, camera), rng in zip(scene.cameras.items(), view_rngs, strict=True)
-    }
+    xrays = render_views(scene.cameras, bodies, chain, dict(zip(scene.cameras, view_rngs, strict=True)))
+    views = {name: SimulatedView(camera, xrays[name]) for name, camera in scene.cameras.items()}
     annotations, screws = _marked(scene, landmark_noise_px, mark_rng)
     return SimulatedCase(
         id=f"two-screws-{seed}",
