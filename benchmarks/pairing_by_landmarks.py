@@ -18,24 +18,25 @@ from screwpose.images.radiograph import Radiograph
 from screwpose.pairing import LandmarkNoise, combinations, judge
 from screwpose.pairing.plausibility import check_plausibility
 from screwpose.report.tables import Column, Table
-from screwpose.simulation.arrangement import Arrangement, arrange, landmarks_px
+from screwpose.simulation import Imperfections, SceneOptions, ScenePlan, plan_scene
 
 _NOISE_PX = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
-_SIZE = (1024, 1024)
 
 
-def marked_case(scene: Arrangement, noise_px: float, rng: np.random.Generator) -> Case:
+def marked_case(scene: ScenePlan, noise_px: float, rng: np.random.Generator) -> Case:
     """A case of landmarks alone; the true pairs have the same number in both views."""
     blank, everywhere = Radiograph(np.zeros((1, 1), np.float32)), np.ones((1, 1), np.bool_)
     annotations = {
         name: tuple(
-            Annotation(f"{name}{i}", *(landmarks_px(camera, implant, pose) + noise_px * rng.normal(size=(2, 2))))
-            for i, (implant, pose) in enumerate(zip(scene.implants, scene.poses, strict=True))
+            Annotation(
+                f"{name}{i}", *(camera.project(screw.landmarks_in_world_mm) + noise_px * rng.normal(size=(2, 2)))
+            )
+            for i, screw in enumerate(scene.screws)
         )
         for name, camera in scene.cameras.items()
     }
     views = {name: View(name, camera, blank, everywhere) for name, camera in scene.cameras.items()}
-    return Case("landmarks", views, {i.name: i for i in scene.implants}, annotations, Path("case.json"))
+    return Case("landmarks", views, scene.implants, annotations, Path("case.json"))
 
 
 def swapped(case: Case) -> Case:
@@ -71,9 +72,9 @@ def main() -> None:
     noise = LandmarkNoise(sigma_px=given.sigma)
     seen: dict[str, list[tuple[bool, str]]] = {}
     for index in track(range(given.count), console=Console(stderr=True)):
-        scene_seed, mark_seed = np.random.SeedSequence([given.seed, index]).spawn(2)
-        scene = arrange(np.random.default_rng(scene_seed), _SIZE, None)
-        rng = np.random.default_rng(mark_seed)
+        seed = int(np.random.SeedSequence([given.seed, index]).generate_state(1)[0])
+        scene = plan_scene(SceneOptions(), Imperfections(), seed)
+        rng = np.random.default_rng(seed)
         for noise_px in _NOISE_PX:
             case = marked_case(scene, noise_px, rng)
             seen.setdefault(f"{noise_px:g} px", []).append(outcome(case, noise))

@@ -23,7 +23,7 @@ def test_files_hold_what_was_simulated(simulated, tmp_path):
     assert path == tmp_path / "case" / "case.json"
     names = sorted(str(p.relative_to(tmp_path / "case")) for p in (tmp_path / "case").rglob("*") if p.is_file())
     (model,) = simulated.implants
-    assert names == ["ap.png", "case.json", "lat.png", f"models/{model}.stl", "truth.json"]
+    assert names == ["ap.png", "case.json", "lat.png", f"models/{model}.stl", "scene.json", "truth.json"]
 
     case = json.loads(path.read_text())
     CaseFile.model_validate(case)

@@ -11,9 +11,20 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from screwpose.simulation.carm import CArm, carm_camera
     from screwpose.simulation.detector import Detector
+    from screwpose.simulation.imperfections import Imperfections
     from screwpose.simulation.materials import MATERIALS, Material
     from screwpose.simulation.pathlength import path_length_mm
-    from screwpose.simulation.scenes import SimulatedCase, SimulatedView, two_screw_scene
+    from screwpose.simulation.scenes import (
+        NeedleAcquisition,
+        ScenePlan,
+        SimulatedCase,
+        SimulatedView,
+        plan_scene,
+        simulate_scene,
+        two_screw_scene,
+        xrayed,
+    )
+    from screwpose.simulation.scenes_options import SceneOptions
     from screwpose.simulation.volume import CtVolume, read_ct
     from screwpose.simulation.writing import write_case
     from screwpose.simulation.xray import Body, Layer, SimulatedXray, render, render_views, transmission
@@ -24,19 +35,26 @@ __all__ = [
     "CArm",
     "CtVolume",
     "Detector",
+    "Imperfections",
     "Layer",
     "Material",
+    "NeedleAcquisition",
+    "SceneOptions",
+    "ScenePlan",
     "SimulatedCase",
     "SimulatedView",
     "SimulatedXray",
     "carm_camera",
     "path_length_mm",
+    "plan_scene",
     "read_ct",
     "render",
     "render_views",
+    "simulate_scene",
     "transmission",
     "two_screw_scene",
     "write_case",
+    "xrayed",
 ]
 
 _MODULE_OF = {
@@ -45,19 +63,26 @@ _MODULE_OF = {
     "CArm": "carm",
     "CtVolume": "volume",
     "Detector": "detector",
+    "Imperfections": "imperfections",
     "Layer": "xray",
     "Material": "materials",
+    "NeedleAcquisition": "scenes",
+    "SceneOptions": "scenes_options",
+    "ScenePlan": "scenes",
     "SimulatedCase": "scenes",
     "SimulatedView": "scenes",
     "SimulatedXray": "xray",
     "carm_camera": "carm",
     "path_length_mm": "pathlength",
+    "plan_scene": "scenes",
     "read_ct": "volume",
     "render": "xray",
     "render_views": "xray",
+    "simulate_scene": "scenes",
     "transmission": "xray",
     "two_screw_scene": "scenes",
     "write_case": "writing",
+    "xrayed": "scenes",
 }
 
 
