@@ -64,12 +64,12 @@ def headline_table(measures: MeasuresFile) -> Table:
         Column("set", "Set", is_number=False),
         Column("method", "Method", is_number=False),
         Column("cases", "cases"),
-        *(Column(key, title, "Share of all cases, with its 95 % interval") for key, title in RATE_TITLES.items()),
+        *(Column(key, title) for key, title in RATE_TITLES.items()),
     )
     rows: list[tuple[Value, ...]] = []
     for name, method, one in _each(measures):
         rows.append((name, method, one.cases, *(percent(one.rates.get(key)) for key in RATE_TITLES)))
-    return Table("Pairing", columns, tuple(rows))
+    return Table("Pairing: shares of all cases, with 95 % intervals", columns, tuple(rows))
 
 
 def accuracy_table(measures: MeasuresFile) -> Table:
