@@ -88,3 +88,102 @@ def fill(u, v, faces, one_sided, bits, columns):
                 for word in range(first_word + 1, last_word):
                     bits[row, word] = _ALL
                 bits[row, last_word] |= to_right
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def to_camera(camera_from_cad, intrinsics, vertices_mm, points_mm, u, v):
+    """Vertices (N, 3) in the camera's frame (N, 3) and on the detector, u and v (N,); returns the smallest depth."""
+    T, K = camera_from_cad, intrinsics
+    nearest = np.inf
+    for i in range(vertices_mm.shape[0]):
+        x, y, z = vertices_mm[i, 0], vertices_mm[i, 1], vertices_mm[i, 2]
+        for k in range(3):
+            points_mm[i, k] = T[k, 0] * x + T[k, 1] * y + T[k, 2] * z + T[k, 3]
+        depth = points_mm[i, 2]
+        nearest = min(nearest, depth)
+        u[i] = (K[0, 0] * points_mm[i, 0] + K[0, 1] * points_mm[i, 1]) / depth + K[0, 2]
+        v[i] = K[1, 1] * points_mm[i, 1] / depth + K[1, 2]
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_depths(
+    points_mm, u, v, faces, detector_from_ray, first_row, first_column, depths, slopes, moments, least_cosine
+):
+    """Add the signed depth of every face to the pixels it covers, and how it changes when the body moves.
+
+    A pixel on a shared edge belongs to exactly one of the two faces (half-open rows and columns, and an edge's crossing
+    is computed from its upper end whichever face asks), so that over a closed surface the depths add up to the length
+    inside. Where a face with normal n and ``n . X = c`` is moved by w, its depth z along a fixed ray changes by
+    ``(n . w) z / c``; signed as its depth is, that is ``z / |c| n . w``.
+
+    Parameters
+    ----------
+    points_mm : (N, 3), in the camera's frame; u, v (N,) their pixels.
+    detector_from_ray : (3, 3), the inverse of the intrinsics: ``r = K^-1 [u v 1]``, of depth 1.
+    depths : (rows, columns), the sum of the signed depths, mm: minus where a ray enters, plus where it leaves.
+    slopes : (rows, columns, 3), the sum of ``z / |c| n``; empty (0, 0, 3) where it is not wanted.
+    moments : (rows, columns, 3), the sum of ``z^2 / |c| n``; the ray times it is the slope's moment.
+    least_cosine : between ray and normal; below it a face is grazed, and its slopes are held down.
+    """
+    rows, columns = depths.shape
+    with_slopes = slopes.shape[0] > 0
+    Q = detector_from_ray
+    for face in range(faces.shape[0]):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        ux, uy, uz = (
+            points_mm[b, 0] - points_mm[a, 0],
+            points_mm[b, 1] - points_mm[a, 1],
+            points_mm[b, 2] - points_mm[a, 2],
+        )
+        wx, wy, wz = (
+            points_mm[c, 0] - points_mm[a, 0],
+            points_mm[c, 1] - points_mm[a, 1],
+            points_mm[c, 2] - points_mm[a, 2],
+        )
+        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        offset = nx * points_mm[a, 0] + ny * points_mm[a, 1] + nz * points_mm[a, 2]
+        if offset == 0.0:
+            continue
+        xa, ya, xb, yb, xc, yc = u[a], v[a], u[b], v[b], u[c], v[c]
+        if yb < ya:
+            xa, ya, xb, yb = xb, yb, xa, ya
+        if yc < ya:
+            xa, ya, xc, yc = xc, yc, xa, ya
+        if yc < yb:
+            xb, yb, xc, yc = xc, yc, xb, yb
+        begin = max(math.ceil(ya) - first_row, 0)
+        end = min(math.ceil(yc) - first_row, rows)
+        if begin >= end:
+            continue
+        long_slope = (xc - xa) / (yc - ya)
+        upper_slope = (xb - xa) / (yb - ya) if yb > ya else 0.0
+        lower_slope = (xc - xb) / (yc - yb) if yc > yb else 0.0
+        near = min(points_mm[a, 2], points_mm[b, 2], points_mm[c, 2])
+        far = max(points_mm[a, 2], points_mm[b, 2], points_mm[c, 2])
+        sign = 1.0 if offset > 0.0 else -1.0
+        steepest = 1.0 / (least_cosine * math.sqrt(nx * nx + ny * ny + nz * nz))
+        # The inverse depth is linear over the detector.
+        per_column = nx * Q[0, 0] / offset
+        per_row = (nx * Q[0, 1] + ny * Q[1, 1]) / offset
+        at_origin = (nx * Q[0, 2] + ny * Q[1, 2] + nz) / offset
+        for row in range(begin, end):
+            y = row + first_row
+            on_long = xa + (y - ya) * long_slope
+            on_short = xa + (y - ya) * upper_slope if y < yb else xb + (y - yb) * lower_slope
+            left = max(math.ceil(min(on_long, on_short)) - first_column, 0)
+            right = min(math.ceil(max(on_long, on_short)) - first_column, columns)
+            inverse = at_origin + per_row * y + per_column * (first_column + left)
+            for column in range(left, right):
+                # A pixel is inside the face, so its depth is between the corners': holds for slivers too.
+                depth = min(max(1.0 / inverse, near), far) if inverse > 0.0 else far
+                inverse += per_column
+                depths[row, column] += sign * depth
+                if with_slopes:
+                    slope = min(depth / abs(offset), steepest)
+                    slopes[row, column, 0] += slope * nx
+                    slopes[row, column, 1] += slope * ny
+                    slopes[row, column, 2] += slope * nz
+                    moments[row, column, 0] += slope * depth * nx
+                    moments[row, column, 1] += slope * depth * ny
+                    moments[row, column, 2] += slope * depth * nz
