@@ -131,7 +131,7 @@ def _connected(edges: IntArray, count: int) -> IntArray:
 
 
 def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
-    """The faces of a closed mesh, turned round if all of its pieces enclose a negative volume."""
+    """The faces of a closed mesh, turned round if it encloses a negative volume as a whole."""
     piece = _connected(_directed_edges(faces), len(vertices))[faces[:, 0]]
     _, piece = np.unique(piece, return_inverse=True)
     corners = vertices[faces] - vertices[faces].mean(axis=(0, 1))
@@ -144,8 +144,8 @@ def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
             expected="a body, not a sheet",
             remedy="Give the part its thickness in the CAD program.",
         )
-    if (volume_mm3[solid] < 0.0).all():
-        return np.asarray(faces[:, ::-1])
+    if volume_mm3.sum() < 0.0:
+        faces, volume_mm3 = faces[:, ::-1], -volume_mm3
     for number in np.flatnonzero(solid & (volume_mm3 < 0.0)):
         own = piece == number
         # A cavity is a piece turned inwards within another one: around it the winding number is 1 or more.
