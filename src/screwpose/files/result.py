@@ -1,7 +1,7 @@
 """What was answered: the result file's content and, in memory, the posed scenes behind it; a benchmark's summary."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from screwpose._types import FloatArray
@@ -40,6 +40,13 @@ class Result:
 
     answer: ResultFile
     scenes: tuple[CombinationScene, ...]
+
+
+def with_load_time(result: Result, seconds: float) -> Result:
+    """The result with the time that reading the case took, in front and in the total."""
+    timing = result.answer.timing_s
+    timed = {"load": seconds, **timing, "total": timing.get("total", 0.0) + seconds}
+    return replace(result, answer=result.answer.model_copy(update={"timing_s": timed}))
 
 
 def write_result(path: str | Path, answer: ResultFile) -> Path:
