@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from screwpose._types import FloatArray
 from screwpose.simulation.spectra import Scintillator, signal_spectrum, xray_tables
 
-ENERGIES_KEV = np.array([30.0, 40.0, 50.0, 60.0, 80.0, 100.0])
-
 
 @dataclass(frozen=True, eq=False)
 class EnergyBins:
@@ -52,14 +50,6 @@ class Material:
     def attenuation_per_mm_in(self, bins: EnergyBins) -> FloatArray:
         """(B,), per mm, at the energies of a reduced spectrum."""
         return self.linear_per_mm[bins.index]
-
-    @property
-    def attenuation_per_mm(self) -> FloatArray:
-        """(6,), per mm, at `ENERGIES_KEV`."""
-        tiny = 1e-30  # gas has none
-        energy = np.log(xray_tables().energy_kev)
-        values = np.exp(np.interp(np.log(ENERGIES_KEV), energy, np.log(self.linear_per_mm + tiny)))
-        return np.asarray(np.where(values > 2.0 * tiny, values, 0.0))
 
 
 def material(name: str, density_g_per_cm3: float, mass_fractions: Mapping[str, float]) -> Material:
@@ -218,11 +208,3 @@ def _shifted_while_better(
                 if residual < 0.999 * best and len(used) == len(index):
                     index, weights, best, improved = used, fitted, residual, True
     return index, weights, best
-
-
-def detector_spectrum(peak_kv: float, filter_mm_al: float = 4.0, scintillator_mm: float = 0.4) -> FloatArray:
-    """What share of the detector's signal each of the six `ENERGIES_KEV` stands for; superseded by `energy_bins`."""
-    edges_kev = np.array([10.0, 35.0, 45.0, 55.0, 70.0, 90.0, 125.0])
-    full = signal_spectrum(peak_kv, filter_mm_al, scintillator_mm=scintillator_mm)
-    share, _ = np.histogram(xray_tables().energy_kev, edges_kev, weights=full)
-    return np.asarray(share, dtype=np.float64)

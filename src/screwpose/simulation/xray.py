@@ -10,7 +10,7 @@ from screwpose._types import FloatArray
 from screwpose.geometry.camera import Camera
 from screwpose.simulation.bodies import Body as Body
 from screwpose.simulation.bodies import Layer as Layer
-from screwpose.simulation.detector import Detector, displayed, expected_signal, noisy
+from screwpose.simulation.detector import Detector, detector_bins, displayed, expected_signal, noisy
 from screwpose.simulation.materials import EnergyBins, energy_bins
 from screwpose.simulation.pathlength import distance_per_depth
 from screwpose.simulation.rays import trace_rays
@@ -52,7 +52,7 @@ def render(
     MeshError
         A body is damaged; see `screwpose.simulation.closing.closed_mesh`.
     """
-    bins = energy_bins(detector.peak_kv)
+    bins = detector_bins(detector)
     clean = transmission(camera, bodies, detector.image_size, detector.supersample, volume=volume, bins=bins)
     signal = expected_signal(clean, detector, _fall_off(camera, detector.image_size))
     return SimulatedXray(displayed(noisy(signal, detector, rng), detector), clean)
