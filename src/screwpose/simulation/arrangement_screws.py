@@ -95,6 +95,7 @@ def _drawn_design(rng: np.random.Generator, options: SceneOptions) -> ScrewDesig
         shank_diameter_mm=diameter,
         shank_length_mm=length,
         tower_length_mm=tower_length,
+        slot_lengths_mm=(min(60.0, 0.75 * tower_length), min(42.0, 0.5 * tower_length)),
         tower=bool(has_tower),
         polyaxial=bool(is_polyaxial),
     )
