@@ -1,163 +1,26 @@
-"""The cases that methods are measured on, as folders of files: what a user would have."""
+"""The cases that methods are measured on, as folders of files: what a user would have.
 
-import json
-import os
-import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+A set's cases never change under one version. Seeds below 1000 are for development: tune on them as you like. Seeds from
+2026 on are for reporting: what is published was never tuned on. (1000 to 2025 are free.)
+"""
 
-import numpy as np
+from screwpose.benchmark.sets_base import BenchmarkSet, MakeCase, case_seed
+from screwpose.benchmark.sets_other import OTHER
+from screwpose.benchmark.sets_real import REAL, biplane_folder, landmarks_of_no_screw
+from screwpose.benchmark.sets_simulated import SIMULATED
+from screwpose.errors import InputError
 
-from screwpose._types import FloatArray
-from screwpose.errors import CaseError, InputError
-from screwpose.files.atomic import atomic_folder, write_json
-from screwpose.files.schema import (
-    AnnotationFile,
-    CaseFile,
-    ModelFile,
-    TruthFile,
-    TruthScrew,
-    ViewFile,
-    as_matrix3x4,
-    as_point3,
-    as_pose,
-)
-from screwpose.geometry import Camera, rigid
-from screwpose.implants.model import Mesh
+__all__ = [
+    "SETS",
+    "BenchmarkSet",
+    "MakeCase",
+    "biplane_folder",
+    "case_seed",
+    "get_set",
+    "landmarks_of_no_screw",
+]
 
-MakeCase = Callable[[int, int, Path], Path]
-"""``make(seed, index, folder) -> path of case.json``, with truth.json beside it."""
-
-_PAPER_NOISE_PX = 1.5
-_REAL_NOISE_PX = 2.0
-
-
-@dataclass(frozen=True)
-class BenchmarkSet:
-    """A named set of cases.
-
-    Parameters
-    ----------
-    version : of its cases. They never change under one version: a figure belongs to a set and its version.
-    make : makes one case in a folder, the same for the same seed and index whatever else was made.
-    size : how many cases there are; None where they are made without end.
-    origin : where the truth comes from, for the report.
-    """
-
-    name: str
-    version: int
-    make: MakeCase
-    size: int | None
-    origin: str
-    description: str
-
-
-def case_seed(set_name: str, seed: int, index: int) -> int:
-    """The seed of one case of a set: sets share no cases, and case 7 is the same however many are asked for."""
-    stream = np.random.SeedSequence([seed, index, *set_name.encode()])
-    return int(stream.generate_state(1, np.uint32)[0])
-
-
-def _make_paper(seed: int, index: int, folder: Path) -> Path:
-    from screwpose.simulation.scenes import two_screw_scene
-    from screwpose.simulation.writing import write_case
-
-    return write_case(two_screw_scene(case_seed("paper", seed, index), landmark_noise_px=_PAPER_NOISE_PX), folder)
-
-
-def landmarks_of_no_screw(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
-    """Two points that stand in for tip and centre on an implant that is no screw, (3,) each, in the CAD frame.
-
-    The centre is the middle of its bounding box; the tip is the vertex furthest from it.
-    """
-    center_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)) / 2
-    distances = np.linalg.norm(mesh.vertices_mm - center_mm, axis=1)
-    return mesh.vertices_mm[int(np.argmax(distances))], center_mm
-
-
-def _make_real(seed: int, index: int, folder: Path) -> Path:
-    """One pair of the real biplane study: a femoral implant whose pose an expert has found."""
-    from screwpose.implants.mesh import read_mesh
-
-    source = biplane_folder()
-    pair = _biplane_pairs(source)[index]
-    mesh = read_mesh(source / "femur0.stl")
-    tip_mm, center_mm = landmarks_of_no_screw(mesh)
-    pose = np.array(pair["femur_world_from_cad"])
-    rng = np.random.default_rng(case_seed("real", seed, index))
-    views, annotations = {}, {}
-    with atomic_folder(folder, marker="truth.json") as partial:
-        shutil.copyfile(source / "femur0.stl", partial / "femur0.stl")
-        for name, view in pair["views"].items():
-            image = Path(view["image"])
-            shutil.copyfile(source / image, partial / image.name)
-            camera = Camera.from_matrix(np.array(view["projection"]))
-            marks = camera.project(rigid.transform(pose, np.vstack([tip_mm, center_mm])))
-            (u_tip, v_tip), (u_center, v_center) = (marks + rng.normal(0.0, _REAL_NOISE_PX, (2, 2))).tolist()
-            views[name] = ViewFile(image=image.name, projection=as_matrix3x4(camera.projection), polarity="metal-dark")
-            annotations[name] = (AnnotationFile(label="femur", tip=(u_tip, v_tip), center=(u_center, v_center)),)
-        case_id = f"biplane-{pair['pair']}"
-        model = ModelFile(mesh="femur0.stl", unit="mm", tip=as_point3(tip_mm), center=as_point3(center_mm))
-        truth = TruthScrew(labels=dict.fromkeys(views, "femur"), model="femur", world_from_cad=as_pose(pose))
-        write_json(partial / "truth.json", TruthFile(format="screwpose-truth/1", case=case_id, screws=(truth,)))
-        case = CaseFile(
-            format="screwpose-case/1", id=case_id, views=views, models={"femur": model}, annotations=annotations
-        )
-        write_json(partial / "case.json", case)
-    return folder / "case.json"
-
-
-def biplane_folder() -> Path:
-    """The folder of the real biplane pairs, below ``$SCREWPOSE_DATA``.
-
-    Raises
-    ------
-    CaseError
-        The variable is not set, or there is no such data.
-    """
-    named = os.environ.get("SCREWPOSE_DATA")
-    if not named:
-        raise CaseError(
-            "the set `real` needs the biplane pairs, and SCREWPOSE_DATA is not set",
-            expected="the folder that holds jtml_biplane/cases.json",
-            remedy="Set SCREWPOSE_DATA to it; docs/benchmarks.md says where the data comes from.",
-        )
-    folder = Path(named) / "jtml_biplane"
-    if not (folder / "cases.json").is_file():
-        raise CaseError(
-            "there are no biplane pairs here",
-            file=folder / "cases.json",
-            expected="the data of the set `real`",
-            remedy="Set SCREWPOSE_DATA to the folder that holds jtml_biplane.",
-        )
-    return folder
-
-
-def _biplane_pairs(folder: Path) -> list[dict[str, Any]]:
-    pairs: list[dict[str, Any]] = json.loads((folder / "cases.json").read_text(encoding="utf-8"))["cases"]
-    return pairs
-
-
-SETS = {
-    "paper": BenchmarkSet(
-        "paper",
-        1,
-        _make_paper,
-        None,
-        "simulated",
-        f"two screws with towers, AP and LAT, landmarks marked with {_PAPER_NOISE_PX} px of noise",
-    ),
-    "real": BenchmarkSet(
-        "real",
-        1,
-        _make_real,
-        16,
-        "an expert's pose, good to some tenths of a mm and of a degree",
-        f"real biplane fluoroscopy of a knee implant, landmarks with {_REAL_NOISE_PX} px of noise",
-    ),
-}
+SETS: dict[str, BenchmarkSet] = {one.name: one for one in (*SIMULATED, REAL, OTHER)}
 
 
 def get_set(name: str) -> BenchmarkSet:
