@@ -53,7 +53,12 @@ def mtre_mm(points_in_cad_mm: FloatArray, weights: FloatArray, estimated: FloatA
     """
     # One difference of the motions, so that a pose compared with itself is off by nothing, not by rounding.
     moved = points_in_cad_mm @ (estimated - true)[:3, :3].T + (estimated - true)[:3, 3]
-    return float(weights @ np.linalg.norm(moved, axis=1))
+    return _weighted_mean(weights, np.linalg.norm(moved, axis=1))
+
+
+def _weighted_mean(weights: FloatArray, values: FloatArray) -> float:
+    # Not `@`: its sum is split by the number of threads, and a record is to be the same with any number of them.
+    return float((weights * values).sum())
 
 
 def projection_distance_px(
@@ -67,7 +72,7 @@ def projection_distance_px(
     if min(float(camera.depth_mm(points).min()) for points in places) <= 0.0:
         return None
     first, second = (camera.project(points) for points in places)
-    return float(weights @ np.linalg.norm(first - second, axis=1))
+    return _weighted_mean(weights, np.linalg.norm(first - second, axis=1))
 
 
 def in_plane_and_depth_mm(
