@@ -172,8 +172,8 @@ RECIPES = (
         1,
         500,
         _hard,
-        "two screws of one level whose labels can be swapped for less than 2 px of epipolar distance, marks with 0.5 to "
-        "3 px of noise",
+        "two screws of one level whose labels can be swapped for less than 2 px of epipolar distance, marks with "
+        "0.5 to 3 px of noise",
     ),
     SimulatedSet(
         "multi",

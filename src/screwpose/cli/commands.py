@@ -188,21 +188,61 @@ def check(
 @answers_errors
 def simulate(
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write the case into.")],
+    set_name: Annotated[str | None, typer.Option("--set", help="A case of this benchmark set, instead.")] = None,
     seed: Seed = 0,
-    landmark_noise: Annotated[float, typer.Option(min=0.0, help="Noise of the landmarks, px.")] = 1.5,
-    size: ImageSize = 1024,
+    index: Annotated[int, typer.Option(min=0, help="Which case of the set.")] = 0,
+    screws: Annotated[int | None, typer.Option(min=1, max=16, help="How many screws.", show_default="2")] = None,
+    angle: Annotated[
+        float | None, typer.Option(help="Angle between the views, degrees.", show_default="84 to 96")
+    ] = None,
+    overlap: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Least and largest share of a screw that others cover in LAT.", show_default="0.05 1"),
+    ] = None,
+    tilt: Annotated[float | None, typer.Option(help="Polyaxial screws whose towers lean by this, degrees.")] = None,
+    clutter: Annotated[int | None, typer.Option(min=0, help="Pieces of other metal.", show_default="0")] = None,
+    missing: Annotated[int | None, typer.Option(min=0, help="Marks that are missing.", show_default="0")] = None,
+    needles: Annotated[bool, typer.Option("--needles", help="Add X-rays with a needle along each tower.")] = False,
+    landmark_noise: Annotated[
+        float | None, typer.Option(min=0.0, help="Noise of the landmarks, px.", show_default="1.5")
+    ] = None,
+    focal_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: focal length, %.")] = None,
+    rotation_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: LAT turned, degrees.")] = None,
+    translation_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: LAT moved, mm.")] = None,
+    cad_length_error: Annotated[float | None, typer.Option(help="The given CAD is longer by this, mm.")] = None,
+    motion: Annotated[float | None, typer.Option(min=0.0, help="The patient moves before LAT, mm.")] = None,
+    size: Annotated[
+        int | None, typer.Option(min=128, max=4096, help="Width and height of the images, px.", show_default="1024")
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a case of two screws with towers, seen in AP and LAT, with its truth."""
+    """Make a case with its truth: two screws with towers seen in AP and LAT, or what the options say."""
+    from screwpose.cli.making import make_case_of_set, make_scene
     from screwpose.files.atomic import ensure_can_write_folder
-    from screwpose.simulation.scenes import two_screw_scene
-    from screwpose.simulation.writing import write_case
 
+    dials = {
+        "screws": screws,
+        "angle": angle,
+        "overlap": overlap,
+        "tilt": tilt,
+        "clutter": clutter,
+        "missing": missing,
+        "needles": needles or None,
+        "landmark_noise": landmark_noise,
+        "focal_error": focal_error,
+        "rotation_error": rotation_error,
+        "translation_error": translation_error,
+        "cad_length": cad_length_error,
+        "motion": motion,
+        "size": size,
+    }
+    if set_name is None and index:
+        raise InputError(f"case {index} of no set", field="--index", remedy="Add --set NAME, or use --seed.")
     ensure_can_write_folder(out, marker="truth.json")
     with shown_progress(quiet or as_json) as progress:
         progress(0.0, "X-raying a simulated patient")
-        path = write_case(two_screw_scene(seed, landmark_noise_px=landmark_noise, image_size=(size, size)), out)
+        path = make_scene(out, seed, dials) if set_name is None else make_case_of_set(out, set_name, seed, index, dials)
     if as_json:
         say_json({"case": str(path), "truth": str(path.parent / "truth.json")})
     elif not quiet:

@@ -1,0 +1,90 @@
+"""The job of `screwpose simulate`: a case of a benchmark set, or a scene of one's own."""
+
+from pathlib import Path
+from typing import Any
+
+from screwpose.errors import InputError
+
+_OPTION = {"cad_length": "--cad-length-error"}
+
+
+def make_case_of_set(out: Path, name: str, seed: int, index: int, dials: dict[str, Any]) -> Path:
+    """One case of a benchmark set; returns the path of its case.json.
+
+    Raises
+    ------
+    InputError
+        There is no such set or case, its data is not there, or a dial was turned that the set decides.
+    """
+    from screwpose.benchmark.sets import get_set
+
+    cases = get_set(name)
+    turned = [_OPTION.get(dial, f"--{dial.replace('_', '-')}") for dial, value in dials.items() if value is not None]
+    if turned:
+        raise InputError(
+            f"the set {name!r} decides what its cases are",
+            field=turned[0],
+            remedy="Leave this option away, or --set.",
+        )
+    cases.check_index(index)
+    return cases.make(seed, index, out)
+
+
+def make_scene(out: Path, seed: int, dials: dict[str, Any]) -> Path:
+    """A scene of one's own; returns the path of its case.json.
+
+    Parameters
+    ----------
+    dials : options of the command by name, None where they were not given.
+
+    Raises
+    ------
+    InputError
+        An option that contradicts another.
+    ScrewposeError
+        No such scene was found.
+    """
+    from screwpose.simulation.imperfections import Imperfections
+    from screwpose.simulation.scenes import simulate_scene
+    from screwpose.simulation.writing import write_case
+
+    turned = {name: value for name, value in dials.items() if value is not None}
+    errors = {_DIALS[name]: value for name, value in turned.items() if name in _DIALS}
+    return write_case(simulate_scene(_scene_options(turned), Imperfections(**errors), seed), out)
+
+
+_DIALS = {
+    "landmark_noise": "landmark_noise_px",
+    "focal_error": "focal_error_percent",
+    "rotation_error": "rotation_error_deg",
+    "translation_error": "translation_error_mm",
+    "cad_length": "cad_length_mm",
+    "motion": "motion_mm",
+}
+
+
+def _scene_options(turned: dict[str, Any]) -> Any:
+    from screwpose.simulation.scenes_options import MAX_LEVELS, SceneOptions
+
+    screws = turned.get("screws", 2)
+    given: dict[str, Any] = {"needles": turned.get("needles", False)}
+    if screws != 2:
+        given |= {
+            "screws": (screws, screws),
+            "levels": (-(-screws // 2), min(screws, MAX_LEVELS)),
+            "designs": (1, min(screws, 3)),
+            "overlap_lat": (0.0, 1.0),
+        }
+    for name, option in (("angle", "angle_deg"), ("clutter", "clutter"), ("missing", "missing")):
+        if name in turned:
+            given[option] = (turned[name], turned[name])
+    if "missing" in turned:
+        given["shift_mm"] = (0.0, 60.0)
+        given.setdefault("overlap_lat", (0.0, 1.0))
+    if "overlap" in turned:
+        given["overlap_lat"] = tuple(turned["overlap"])
+    if "tilt" in turned:
+        given |= {"polyaxial": 1.0, "tower_tilt_deg": (turned["tilt"], turned["tilt"])}
+    if "size" in turned:
+        given["image_size"] = (turned["size"], turned["size"])
+    return SceneOptions(**given)
