@@ -14,6 +14,7 @@ from screwpose.benchmark.record import CaseRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 # Okabe & Ito (2008), those that can be told from a white and from a dark page alike.
 _COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -101,6 +102,7 @@ def _ecdf(
                 x, share = x[kept], share[kept]
             axes.step(x, share, where="post", label=method, linewidth=1.8, **styles[method])
         axes.set_xscale("log")
+        _plain_decades(axes.xaxis)
         axes.set_ylim(0, 1.02)
         axes.set_xlabel(f"{title.lower()}, {unit}")
         axes.set_ylabel("share of all screws")
@@ -194,12 +196,23 @@ def _times(name: str, methods: Methods, styles: Mapping[str, dict[str, Any]]) ->
                 x, middle, [low, high], label=method, capsize=2, markersize=5, linewidth=1.5, **styles[method]
             )
         axes.set_yscale("log")
+        _plain_decades(axes.yaxis)
         axes.set_xticks(numbers)
+        axes.set_xlim(numbers[0] - 0.6, numbers[-1] + 0.6)
         axes.set_xlabel("screws of the case")
         axes.set_ylabel("seconds a case")
 
     words = "Median, and the range from the 10th to the 90th percentile."
     return Chart("Time against number of screws", words, _svg(f"{name}-time", draw))
+
+
+def _plain_decades(axis: "Axis") -> None:
+    """0.1, 0.2, 0.5, 1 in place of powers of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _points(axes: "Axes", known: Sequence[tuple[float, Rate]], style: dict[str, Any], method: str) -> None:
@@ -245,7 +258,7 @@ def _svg(salt: str, draw: Callable[["Axes"], None]) -> str:
         figure.set_layout_engine("constrained")
         axes = figure.add_subplot()
         draw(axes)
-        axes.legend(fontsize=9)
+        figure.legend(loc="outside upper left", ncols=4, fontsize=10)
         buffer = io.StringIO()
         none = dict.fromkeys(("Date", "Creator", "Format", "Type"))
         figure.savefig(buffer, format="svg", transparent=True, metadata=none)

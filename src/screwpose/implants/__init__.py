@@ -7,6 +7,7 @@ from screwpose.implants.mesh import MM_PER_UNIT, SUFFIXES, read_mesh, reduced, t
 from screwpose.implants.model import Implant, Mesh, Part
 from screwpose.implants.parametric import make_screw
 from screwpose.implants.picture import draw_mesh
+from screwpose.implants.symmetry import symmetry_order
 from screwpose.implants.thread import Thread
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "propose_landmarks",
     "read_mesh",
     "reduced",
+    "symmetry_order",
     "transformed",
     "write_stl",
 ]
