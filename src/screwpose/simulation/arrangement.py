@@ -1,7 +1,7 @@
 """Where screws and C-arm stand: drawn until it is the situation that was asked for."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,10 +26,10 @@ _ATTEMPTS = 4000
 _HOPELESS = 400  # attempts of which none gets as far as a picture
 _TRIES_A_SCREW = 25
 _MARGIN_PX = 20.0  # of 1024: tips and centres keep this from the border, and from a round field's rim
-_RIM_PX = 6.0  # of 1024: a round field ends this far within the image
+_RIM_PX = 6.0  # of 1024, as `screwpose.simulation.scenes_bodies.RIM`
 _LEAST_GAP_MM = 1.0  # between two screws
 _WIDTH_PX = 1024
-WIDE_FROM_LEVELS = 5  # so many need a large flat panel
+_WIDE_FROM_LEVELS = 5
 _USUAL_MM, _WIDE_MM = 307.2, 430.0
 
 Refusal = tuple[str, str]
@@ -134,18 +134,26 @@ def _screws_apart(
     return tuple(placed)
 
 
+def is_long(levels: Iterable[int]) -> bool:
+    """Whether so many levels are seen that it takes a large flat panel."""
+    return len(set(levels)) >= _WIDE_FROM_LEVELS
+
+
+def detector_width_mm(options: SceneOptions, is_wide: bool) -> float:
+    """The one asked for, or the usual."""
+    return (_WIDE_MM if is_wide else _USUAL_MM) if options.detector_mm is None else options.detector_mm
+
+
 def _seen(
     rng: np.random.Generator, options: SceneOptions, screws: tuple[PlacedScrew, ...], is_round: bool
 ) -> Arrangement:
-    levels = len({screw.level for screw in screws})
-    is_wide = levels >= WIDE_FROM_LEVELS
-    usual_mm = _WIDE_MM if is_wide else _USUAL_MM
+    is_wide = is_long(screw.level for screw in screws)
     height = round(_WIDTH_PX * options.image_size[1] / options.image_size[0])
     middles = [s.landmarks_in_world_mm[1] + towards_head_mm(s.implant) * s.axis_in_world for s in screws]
     cameras, isocenters = put_up_views(
         rng,
         (_WIDTH_PX, height),
-        usual_mm if options.detector_mm is None else options.detector_mm,
+        detector_width_mm(options, is_wide),
         rng.uniform(*options.angle_deg),
         np.mean(middles, axis=0),
         options.pose_sd_deg,

@@ -75,7 +75,7 @@ _BOUNDS = {
     "principal_error_px": (0.0, 500.0),
     "rotation_error_deg": (0.0, 45.0),
     "translation_error_mm": (0.0, 200.0),
-    "pincushion": (-0.2, 0.2),
+    "pincushion": (-0.1, 0.2),
     "s_distortion_deg": (-20.0, 20.0),
     "cad_length_mm": (-15.0, 15.0),
     "cad_diameter_mm": (-2.0, 2.0),

@@ -7,7 +7,6 @@ a millisecond, so that scenes can be chosen before any is rendered.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from screwpose.files.result import PosedImplant
 from screwpose.geometry.camera import Camera
 from screwpose.implants.design import ScrewDesign
 from screwpose.implants.model import Implant
-from screwpose.simulation.arrangement import OUT_OF_FIELD, WIDE_FROM_LEVELS, Arrangement, arranged
+from screwpose.simulation.arrangement import OUT_OF_FIELD, Arrangement, arranged, detector_width_mm, is_long
 from screwpose.simulation.arrangement_overlap import covered_shares
 from screwpose.simulation.arrangement_screws import PlacedScrew, drawn_designs, drawn_sites, made_implants
 from screwpose.simulation.detector import Detector
@@ -228,10 +227,17 @@ def plan_scene(
     in_patient, models = made_implants(tuple(designs)), made_implants(_as_given(designs, imperfections))
     who = patient(stream(seed, "patient"))
     sites = drawn_sites(stream(seed, "sites"), options, count, len(who.levels))
-    is_wide = len({level for level, _ in sites}) >= WIDE_FROM_LEVELS
-    detector = _distorting(
-        random_detector(stream(seed, "detector"), options.image_size, 0.0 if is_wide else options.round_field),
-        imperfections,
+    is_wide = is_long(level for level, _ in sites)
+    detector = random_detector(
+        stream(seed, "detector"),
+        options.image_size,
+        detector_width_mm(options, is_wide),
+        0.0 if is_wide else options.round_field,
+    )
+    detector = replace(
+        detector,
+        pincushion=imperfections.pincushion,
+        s_distortion_rad=float(np.radians(imperfections.s_distortion_deg)),
     )
     draft = _Draft(options, imperfections, seed, count, detector)
     arrangement = arranged(
@@ -345,16 +351,6 @@ def _as_given(
             )
         )
     return tuple(given)
-
-
-def _distorting(detector: Detector, imperfections: Imperfections) -> Detector:
-    if not imperfections.pincushion and not imperfections.s_distortion_deg:
-        return detector
-    changes: dict[str, Any] = {
-        "pincushion": imperfections.pincushion,
-        "s_distortion_rad": float(np.radians(imperfections.s_distortion_deg)),
-    }
-    return replace(detector, **changes)
 
 
 def xrayed(plan: ScenePlan, with_anatomy: bool = True) -> SimulatedCase:

@@ -13,6 +13,8 @@ from screwpose.simulation.streams import stream
 from screwpose.simulation.volume import CtVolume
 from screwpose.simulation.xray import Body, Layer
 
+RIM = 6.0 / 1024  # a round field ends this far within the shorter side, as a share of it
+_QUANTA_PER_NGY = 30.2 * 0.63  # that a mm^2 counts, behind a patient
 _KEEP_OUT_MM = 9.0  # from a screw's axis: the widest heads are 13 mm across
 
 
@@ -61,25 +63,38 @@ def needle_bodies(screws: Sequence[PlacedScrew]) -> list[Body]:
     return [needle_along(screw.implant, screw.world_from_cad @ screw.upright_from_tower) for screw in screws]
 
 
-def random_detector(rng: np.random.Generator, image_size: tuple[int, int], round_field: float = 0.35) -> Detector:
-    """A display chain as one meets them: flat panel or round field, film-like or logarithmic, more or less noise.
+def random_detector(
+    rng: np.random.Generator, image_size: tuple[int, int], detector_mm: float, round_field: float
+) -> Detector:
+    """A C-arm as one meets them: flat panel or image intensifier, film-like or logarithmic, more or less noise.
+
+    Between `screwpose.simulation.detector_presets`. Its image has no distortion: that is a dial of the scene.
 
     Parameters
     ----------
-    round_field : how often the field is round.
+    detector_mm : its width.
+    round_field : how often it is an image intensifier, whose field is round.
     """
-    scale = image_size[0] / 1024
+    pixel_mm = detector_mm / image_size[0]
     is_round = rng.random() < round_field
+    dose_ngy, old_dose_ngy = rng.uniform(100.0, 500.0), rng.uniform(100.0, 300.0)
+    flat_glare, old_glare = rng.uniform(0.01, 0.03), rng.uniform(0.06, 0.13)
     return Detector(
         image_size=image_size,
-        peak_kv=rng.uniform(80.0, 110.0),
-        blur_px=rng.uniform(0.6, 1.1) * scale,
-        scatter_fraction=rng.uniform(0.15, 0.4),
-        scatter_sigma_px=rng.uniform(45.0, 80.0) * scale,
-        counts_per_px=rng.uniform(400.0, 2000.0) / scale**2,
+        pixel_mm=pixel_mm,
+        peak_kv=rng.uniform(75.0, 110.0),
+        blur_px=0.15 / pixel_mm if is_round else 0.0,
+        focal_spot_mm=rng.uniform(0.3, 0.6),
+        screen_h_mm2=rng.uniform(0.4, 0.6),
+        glare_fraction=old_glare if is_round else flat_glare,
+        glare_mm=rng.uniform(15.0, 25.0),
+        grid_scatter=rng.uniform(0.15, 0.28),
+        scatter_sigma_px=rng.uniform(15.0, 25.0) / pixel_mm,
+        counts_per_px=_QUANTA_PER_NGY * (old_dose_ngy if is_round else dose_ngy) * pixel_mm**2,
+        electronic_noise=rng.uniform(8.0, 14.0) * pixel_mm,
         display="log" if rng.random() < 0.5 else "power",
         reference_grey=rng.uniform(0.45, 0.58),
         gamma=rng.uniform(0.55, 0.8),
         log_decades=rng.uniform(1.7, 2.2),
-        field_radius_px=0.5 * min(image_size) - 6.0 * scale if is_round else None,
+        field_radius_px=(0.5 - RIM) * min(image_size) if is_round else None,
     )

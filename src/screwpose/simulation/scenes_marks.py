@@ -12,6 +12,7 @@ from screwpose.geometry.camera import Camera
 from screwpose.geometry.epipolar import epipolar_distances_px
 from screwpose.simulation.arrangement_screws import PlacedScrew
 from screwpose.simulation.detector import Detector
+from screwpose.simulation.distortion import distorted_px
 from screwpose.simulation.imperfections import Imperfections
 
 VIEWS = ("AP", "LAT")
@@ -47,23 +48,12 @@ def marked_px(
     points_mm = np.stack([s.landmarks_in_world_mm + bias_mm[:, None] * s.axis_in_world for s in screws])
     marks = {}
     for index, name in enumerate(VIEWS):
-        pixels = in_image_px(cameras[name].project(points_mm.reshape(-1, 3)), detector).reshape(-1, 2, 2)
-        marks[name] = pixels + imperfections.landmark_noise_px * noise[:, index]
+        # Without distortion, to the last bit: going there and back is not.
+        pixels = cameras[name].project(points_mm.reshape(-1, 3))
+        if detector.pincushion or detector.s_distortion_rad:
+            pixels = distorted_px(detector, pixels)
+        marks[name] = pixels.reshape(-1, 2, 2) + imperfections.landmark_noise_px * noise[:, index]
     return marks
-
-
-def in_image_px(points_px: FloatArray, detector: Detector) -> FloatArray:
-    """Where points (N, 2) of the ideal image are in the distorted one."""
-    if not is_distorted(detector):
-        return points_px
-    from screwpose.simulation.distortion import distorted_px
-
-    return distorted_px(detector, points_px)
-
-
-def is_distorted(detector: Detector) -> bool:
-    """Whether the detector's image is not that of a pinhole."""
-    return bool(getattr(detector, "pincushion", 0.0) or getattr(detector, "s_distortion_rad", 0.0))
 
 
 def is_inside(marks_px: FloatArray, image_size: tuple[int, int]) -> BoolArray:
