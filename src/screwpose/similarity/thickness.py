@@ -1,0 +1,221 @@
+"""How well does metal of a certain thickness explain an X-ray? Gradients of the image against those of the model.
+
+A silhouette against a grey image is biased: the image has thickness gradients and inner edges that a mask has not. So
+the path length L through the posed CAD is mapped by a response ``s(L)`` to what the detector made of it, and compared
+with the log image in the gradient domain, where whatever is smooth, the patient and scatter, hardly counts. The
+response is a sum of saturating exponentials with weights that are not negative: monotone, as beam hardening and any
+display are, and fitted to each view by itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from screwpose._types import BoolArray, FloatArray, ImageArray
+from screwpose.errors import ImageError
+from screwpose.geometry import Camera
+
+GradientArray = NDArray[np.float32]
+
+# Thicknesses over which the response saturates, mm: thick cobalt-chrome is opaque after 2, titanium after 20.
+_CONSTANTS_MM = np.array([0.7, 2.0, 6.0, 15.0, 40.0], dtype=np.float32)
+# Longer paths no screw has; what an open mesh leaves behind must not overflow an exponential.
+_LONGEST_MM = 80.0
+# Pixels on the model's edges, where its gradient exceeds this share of its 99th percentile, tell the residuals' scale.
+_RIM_SHARE = 0.15
+_CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
+_REWEIGHTED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class GradientTarget:
+    """One X-ray at one scale, ready to be compared with thickness models.
+
+    Parameters
+    ----------
+    intrinsics, camera_from_world : of the reduced image, (3, 3) px and (4, 4) mm; right-handed: a mirrored view is
+        mirrored back, image and all.
+    along_u, along_v : (rows, columns), derivatives of the smoothed log image, per px.
+    counts : (rows, columns), the pixels whose derivatives see nothing beyond the region.
+    scale : how many px of the X-ray make one.
+    blur_px : of the smoothing, at this scale.
+    """
+
+    intrinsics: FloatArray
+    camera_from_world: FloatArray
+    along_u: GradientArray
+    along_v: GradientArray
+    counts: BoolArray
+    scale: int
+    blur_px: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.counts.shape[0], self.counts.shape[1]
+
+    def differentiated(self, image: ImageArray) -> tuple[GradientArray, GradientArray]:
+        """The same derivatives of another image, or of a part of one."""
+        return _differentiated(image, self.blur_px)
+
+
+def make_gradient_target(
+    log_pixels: ImageArray, region: BoolArray, camera: Camera, scale: int, blur_px: float = 1.3
+) -> GradientTarget:
+    """Prepare an X-ray.
+
+    Parameters
+    ----------
+    log_pixels : (rows, columns), log of the greys, metal bright; see `screwpose.images.log_image`.
+    region : (rows, columns), M_bg: the pixels that count.
+    scale : how many px along each side become one.
+    blur_px : sigma of the smoothing before differences are taken, at the reduced scale.
+    """
+    import cv2
+
+    rows, columns = region.shape
+    if min(rows, columns) < scale * 8:
+        raise ImageError(f"an image of {columns} x {rows} px cannot be reduced {scale} times")
+    projection = camera.projection
+    if not camera.is_right_handed:  # u runs the other way: turn it round, image and matrix
+        mirror = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        projection, log_pixels, region = mirror @ projection, log_pixels[:, ::-1], region[:, ::-1]
+    size = (columns // scale, rows // scale)
+    used = (slice(0, size[1] * scale), slice(0, size[0] * scale))
+    image: ImageArray = np.asarray(
+        cv2.resize(np.ascontiguousarray(log_pixels[used], dtype=np.float32), size, interpolation=cv2.INTER_AREA),
+        dtype=np.float32,
+    )
+    inside = cv2.resize(np.ascontiguousarray(region[used], dtype=np.float32), size, interpolation=cv2.INTER_AREA)
+    reach = 2 * _reach_px(blur_px) + 1
+    counts = cv2.erode((inside > 0.999).astype(np.uint8), np.ones((reach, reach), np.uint8), borderValue=0)
+    # Integer pixels are centres, so borders, not centres, coincide.
+    reduced_from_full = np.array(
+        [[1 / scale, 0.0, 0.5 / scale - 0.5], [0.0, 1 / scale, 0.5 / scale - 0.5], [0.0, 0.0, 1.0]]
+    )
+    reduced = Camera(reduced_from_full @ projection)
+    along_u, along_v = _differentiated(image, blur_px)
+    return GradientTarget(
+        reduced.intrinsics, reduced.camera_from_world, along_u, along_v, counts.astype(np.bool_), scale, blur_px
+    )
+
+
+def _reach_px(blur_px: float) -> int:
+    return int(np.ceil(4.0 * blur_px))
+
+
+def _differentiated(image: ImageArray, blur_px: float) -> tuple[GradientArray, GradientArray]:
+    import cv2
+
+    x = np.arange(-_reach_px(blur_px), _reach_px(blur_px) + 1, dtype=np.float64)
+    smooth = np.exp(-0.5 * (x / blur_px) ** 2)
+    smooth /= smooth.sum()
+    slope = x / blur_px**2 * smooth  # OpenCV correlates: the derivative's sign is turned round
+    image = np.ascontiguousarray(image, dtype=np.float32)
+    smooth, slope = smooth.astype(np.float32), slope.astype(np.float32)
+    return (
+        np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, slope, smooth, borderType=cv2.BORDER_REPLICATE)),
+        np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, smooth, slope, borderType=cv2.BORDER_REPLICATE)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """How a thickness model explains one view.
+
+    Parameters
+    ----------
+    response : (5,), the weights of the saturating exponentials.
+    near : (rows, columns) of the window, the N pixels that were compared.
+    residuals : (2 N,), the image's derivatives minus the model's, along u, then along v, per px.
+    weights : (2 N,), robust, 0 to 1.
+    spread : robust standard deviation of the residuals on the model's edges.
+    energy : the share of the image's gradient energy there that the model explains: 1 for all of it.
+    """
+
+    response: FloatArray
+    near: BoolArray
+    residuals: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    spread: float
+    energy: float
+
+
+def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice, slice]) -> Explanation:
+    """Fit the response to a model's path lengths, and see what is left.
+
+    Parameters
+    ----------
+    lengths_mm : (rows, columns) of the window: the path lengths of all bodies together.
+    window : the part of the image; outside it the lengths are 0.
+    """
+    import cv2
+
+    lengths = clipped(lengths_mm)
+    reach = _reach_px(target.blur_px)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    near = cv2.dilate((lengths > 0.0).view(np.uint8), disc).astype(np.bool_) & target.counts[window]
+    if not near.any():
+        nothing = np.zeros(0)
+        return Explanation(np.zeros(len(_CONSTANTS_MM)), near, nothing, nothing, 1.0, 0.0)
+    columns = []
+    for constant in _CONSTANTS_MM:
+        along_u, along_v = target.differentiated(-np.expm1(-lengths / constant))
+        columns.append(np.concatenate([along_u[near], along_v[near]]))
+    basis = np.stack(columns, axis=1).astype(np.float64)
+    image = np.concatenate([target.along_u[window][near], target.along_v[window][near]]).astype(np.float64)
+    response, residuals, weights, spread = _fitted(basis, image)
+    energy = 1.0 - float(residuals @ residuals) / max(float(image @ image), 1e-300)
+    return Explanation(response, near, residuals, weights, spread, energy)
+
+
+def clipped(lengths_mm: FloatArray) -> ImageArray:
+    """Path lengths as a screw can have them, float32."""
+    return np.clip(lengths_mm, 0.0, _LONGEST_MM).astype(np.float32)
+
+
+def _fitted(basis: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Weights of the basis that are not negative, robustly; the residuals, their weights, and their spread."""
+    from scipy.optimize import nnls
+
+    weights = np.ones(len(image))
+    ridge = 1e-9 * np.trace(basis.T @ basis) * np.eye(basis.shape[1])
+    for _ in range(_REWEIGHTED):
+        weighted = basis * weights[:, None]
+        # The normal equations: the basis is five columns wide, and a hundred thousand rows long.
+        response, _ = nnls(weighted.T @ basis + ridge, weighted.T @ image)
+        model = basis @ response
+        residuals = image - model
+        edges = np.abs(model)
+        rim = edges > _RIM_SHARE * np.percentile(edges, 99)
+        spread = 1.4826 * float(np.median(np.abs(residuals[rim]))) if rim.any() else float(np.std(residuals))
+        spread = max(spread, 1e-9)
+        weights = 1.0 / (1.0 + (residuals / (_CAUCHY * spread)) ** 2)
+    return np.asarray(response), residuals, weights, spread
+
+
+def derivatives(
+    target: GradientTarget,
+    explanation: Explanation,
+    lengths_mm: FloatArray,
+    lengths_by_parameter: Sequence[FloatArray],
+) -> FloatArray:
+    """How the model's derivatives change with the parameters, the response held: (2 N, parameters).
+
+    Parameters
+    ----------
+    lengths_mm : as `explain` had them.
+    lengths_by_parameter : for each parameter the change of the path lengths, (rows, columns) of the window.
+    """
+    lengths = clipped(lengths_mm)
+    slope = np.zeros_like(lengths)
+    for weight, constant in zip(explanation.response, _CONSTANTS_MM, strict=True):
+        if weight > 0.0:
+            slope += np.float32(weight / constant) * np.exp(-lengths / constant)
+    columns = []
+    for change in lengths_by_parameter:
+        along_u, along_v = target.differentiated(slope * change.astype(np.float32))
+        columns.append(np.concatenate([along_u[explanation.near], along_v[explanation.near]]))
+    return np.stack(columns, axis=1).astype(np.float64)
