@@ -2,10 +2,11 @@
 
 import os
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from screwpose.benchmark.gate import check_against, read_baseline
 from screwpose.benchmark.record import CaseRecord
 from screwpose.benchmark.request import BenchRequest, sets_of
 from screwpose.benchmark.run_folder import RunFolder, opened
@@ -27,6 +28,7 @@ class BenchRun:
     ----------
     records : one a case and method, in the order of the request.
     notes : what was found amiss in a folder that was gone on in.
+    worse : in what the run is worse than its baseline, one sentence each.
     """
 
     path: Path
@@ -34,6 +36,7 @@ class BenchRun:
     sets: dict[str, BenchmarkSet]
     records: list[CaseRecord]
     notes: tuple[str, ...]
+    worse: tuple[str, ...] = ()
 
     @property
     def failed(self) -> list[CaseRecord]:
@@ -54,6 +57,7 @@ def run_bench(
     scheduler: str | None = None,
     resume: bool = False,
     keep_cases: bool = False,
+    baseline: str | Path | None = None,
     progress: Progress | None = None,
 ) -> BenchRun:
     """Run methods over cases, and write records, tables and report into `out`.
@@ -67,6 +71,7 @@ def run_bench(
     scheduler : the address of a dask scheduler, ``tcp://host:port``, in place of `workers`.
     resume : go on in the folder of the same request.
     keep_cases : keep the cases themselves, in ``cases/``; they can be made again from their seed at any time.
+    baseline : the measures.json of an earlier run to compare with.
     progress : called with the share that is done and a few words; what it raises stops the run.
 
     Raises
@@ -77,6 +82,7 @@ def run_bench(
         The folder cannot be written, holds something else, or another run.
     """
     sets = sets_of(request)
+    before = None if baseline is None else read_baseline(baseline)
     with opened(Path(out), request, resume) as folder:
         tasks = folder.tasks(keep_cases)
         forecast = Forecast(request.cases, request.cases - len(tasks), progress or _tell_nobody)
@@ -84,7 +90,8 @@ def run_bench(
             for outcome in outcomes:
                 folder.keep(task, outcome)
             forecast.case_done()
-        return _summed_up(folder, sets, progress or _tell_nobody)
+        run = _summed_up(folder, sets, baseline, progress or _tell_nobody)
+    return run if before is None else replace(run, worse=tuple(check_against(before, run.records)))
 
 
 def usual_workers() -> int:
@@ -123,12 +130,14 @@ def _here(tasks: list[CaseTask], forecast: Forecast) -> Work:
         yield task, outcomes_of(task, forecast.within_case(task.name))
 
 
-def _summed_up(folder: RunFolder, sets: dict[str, BenchmarkSet], tell: Progress) -> BenchRun:
+def _summed_up(
+    folder: RunFolder, sets: dict[str, BenchmarkSet], baseline: str | Path | None, tell: Progress
+) -> BenchRun:
     from screwpose.benchmark.outputs import write_outputs
 
     records = folder.records()
     tell(1.0, "writing tables and report")
-    write_outputs(folder.path, records, sets)
+    write_outputs(folder.path, records, sets, baseline=baseline)
     return BenchRun(folder.path, folder.request, sets, records, folder.notes)
 
 

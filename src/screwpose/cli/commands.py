@@ -1,17 +1,30 @@
 """The front door: each command parses, calls the library, and prints."""
 
-from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from screwpose import __version__
+from screwpose.cli.bench import bench
+from screwpose.cli.options import (
+    AsJson,
+    Faces,
+    Generations,
+    ImageSize,
+    MaxRoll,
+    MaxShift,
+    MaxTilt,
+    MethodName,
+    MethodOption,
+    Population,
+    Quiet,
+    Seed,
+    SigmaPx,
+    solver_options,
+)
 from screwpose.cli.terminal import BAD_INPUT, EXIT_CODES, REFUSED, answers_errors, say_json, shown_progress
 from screwpose.errors import InputError
-
-_LEAST_FACES = 20
 
 app = typer.Typer(
     name="screwpose",
@@ -24,72 +37,6 @@ app = typer.Typer(
 )
 model_app = typer.Typer(help="Look at CAD models.", no_args_is_help=True)
 app.add_typer(model_app, name="model")
-
-
-class MethodName(StrEnum):
-    """How the pairing is decided."""
-
-    default = "default"
-    paper = "paper"
-    epipolar = "epipolar"
-
-
-class SetName(StrEnum):
-    """The benchmark sets."""
-
-    paper = "paper"
-    real = "real"
-
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object, for machines.")]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print nothing but errors.")]
-MethodOption = Annotated[
-    MethodName,
-    typer.Option(
-        help="How the pairing is decided: by the landmarks and the CAD, as in the paper, or by epipolar lines."
-    ),
-]
-Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
-Generations = Annotated[int, typer.Option(min=0, help="Generations of the differential evolution; 0: do not register.")]
-Population = Annotated[int, typer.Option(min=1, help="Its population, for each degree of freedom.")]
-MaxShift = Annotated[float, typer.Option(min=0.01, help="How far the search may move a screw along each axis, mm.")]
-MaxTilt = Annotated[float, typer.Option(min=0.01, max=90, help="How far it may tilt it, degrees.")]
-MaxRoll = Annotated[float, typer.Option(min=0.01, max=180, help="How far it may turn it about its axis, degrees.")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same answer.")]
-ImageSize = Annotated[int, typer.Option(min=128, max=4096, help="Width and height of the images, px.")]
-SigmaPx = Annotated[float, typer.Option(min=0.01, help="How exactly landmarks were marked, px (standard deviation).")]
-
-
-def _options(
-    method: MethodName,
-    faces: int,
-    generations: int,
-    population: int,
-    seed: int,
-    landmark_sigma: float,
-    bounds: tuple[float, float, float],
-) -> Any:
-    from screwpose.pairing.segment import LandmarkNoise
-    from screwpose.solve import SolveOptions
-
-    if 0 < faces < _LEAST_FACES:
-        raise InputError(
-            f"a model of {faces} triangles is no screw",
-            field="--faces",
-            expected=f"{_LEAST_FACES} or more, or 0 for all",
-        )
-    options = SolveOptions(method=method.value, faces=faces or None, noise=LandmarkNoise(sigma_px=landmark_sigma))
-    shift, tilt, roll = bounds
-    search = replace(
-        options.search,
-        generations=generations,
-        population=population,
-        seed=seed,
-        max_shift_mm=shift,
-        max_tilt_deg=tilt,
-        max_roll_deg=roll,
-    )
-    return replace(options, search=search)
 
 
 @app.callback(invoke_without_command=True)
@@ -120,7 +67,9 @@ def demo(
     from screwpose.cli.jobs import run_demo
     from screwpose.cli.words import told_demo
 
-    options = _options(method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll))
+    options = solver_options(
+        method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll)
+    )
     with shown_progress(quiet or as_json) as progress:
         result, comparison = run_demo(out, seed, size, options, progress)
     if as_json:
@@ -151,7 +100,9 @@ def solve(
     from screwpose.cli.jobs import solve_files
     from screwpose.cli.words import told_result
 
-    options = _options(method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll))
+    options = solver_options(
+        method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll)
+    )
     with shown_progress(quiet or as_json) as progress:
         result, _ = solve_files(case, out, options, progress)
     if as_json:
@@ -249,37 +200,7 @@ def simulate(
         typer.echo(f"{path}\nSolve it with: screwpose solve {out} -o {out.name}-solved")
 
 
-@app.command()
-@answers_errors
-def bench(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
-    set_name: Annotated[SetName, typer.Option("--set", help="Which cases.")] = SetName.paper,
-    method: MethodOption = MethodName.paper,
-    count: Annotated[int, typer.Option(min=1, help="How many cases, at most.")] = 10,
-    seed: Seed = 1,
-    faces: Faces = 1000,
-    generations: Generations = 60,
-    population: Population = 5,
-    landmark_sigma: SigmaPx = 2.0,
-    max_shift: MaxShift = 2.0,
-    max_tilt: MaxTilt = 5.0,
-    max_roll: MaxRoll = 15.0,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
-    """Measure a method on cases with known truth: summary.json, the paper's tables, every case's report."""
-    from screwpose.benchmark import summarise
-    from screwpose.benchmark.writing import error_table, outcome_table
-    from screwpose.cli.jobs import run_bench
-    from screwpose.cli.words import told_study
-
-    options = _options(method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll))
-    with shown_progress(quiet or as_json) as progress:
-        study = run_bench(out, set_name.value, options, count, seed, progress)
-    if as_json:
-        say_json(summarise(study).model_dump(mode="json", exclude_none=True))
-    elif not quiet:
-        typer.echo(told_study(out, [outcome_table(study), error_table(study)]))
+app.command()(bench)
 
 
 @model_app.command("inspect")

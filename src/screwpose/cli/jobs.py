@@ -1,21 +1,16 @@
 """The jobs of the front door: from files to files."""
 
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 from screwpose.errors import OutputError
 from screwpose.files.atomic import atomic_folder, ensure_can_write_folder
 from screwpose.files.case import Case, inspect_case, read_case
 from screwpose.files.findings import Finding, errors_in
-from screwpose.files.result import Result
+from screwpose.files.result import Result, with_load_time
 from screwpose.registration import Progress
 from screwpose.report.comparison import Comparison
 from screwpose.solve import SolveOptions, solve
-
-if TYPE_CHECKING:
-    from screwpose.benchmark import Study
 
 _DEMO_NOISE_PX = 1.5  # on 1024 pixels
 
@@ -72,28 +67,6 @@ def run_demo(
     return result, comparison
 
 
-def run_bench(out: Path, set_name: str, options: SolveOptions, count: int, seed: int, progress: Progress) -> "Study":
-    """Run a method on a benchmark set and write its summary, tables and every case.
-
-    Cases are kept as they are done: after an interruption the folder holds them, and the next run takes their place.
-    """
-    from screwpose.benchmark import run_study, write_study
-
-    # A run that was stopped has left its cases and no summary: that is an earlier output too.
-    is_begun = out.is_dir() and {entry.name for entry in out.iterdir()} <= {"cases", "results"}
-    ensure_can_write_folder(out / "cases" / "new" if is_begun else out, marker="summary.json")
-    study = run_study(
-        set_name,
-        options,
-        count,
-        seed,
-        out,
-        lambda done, cases, fraction, what: progress((done + fraction) / cases, f"case {done + 1} of {cases}: {what}"),
-    )
-    write_study(study, out)
-    return study
-
-
 def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Finding, ...]:
     """Everything that can be known to be wrong with a case: its files, then whether they agree with each other."""
     from screwpose.pairing.plausibility import check_plausibility
@@ -119,13 +92,6 @@ def _refuse_to_replace(case_path: Path, out: Path) -> None:
         raise OutputError(
             f"{out}: the case {case_path} lies in this folder, which the output would replace. Write to another folder."
         )
-
-
-def with_load_time(result: Result, seconds: float) -> Result:
-    """The result with the time that reading took, in front and in the total."""
-    timing = result.answer.timing_s
-    timed = {"load": seconds, **timing, "total": timing["total"] + seconds}
-    return replace(result, answer=result.answer.model_copy(update={"timing_s": timed}))
 
 
 def _compared(case: Case, result: Result, case_path: Path, origin: str) -> Comparison:

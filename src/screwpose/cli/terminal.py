@@ -16,12 +16,12 @@ from screwpose.errors import CancelledError, InputError, OutputError, ScrewposeE
 
 P = ParamSpec("P")
 
-OK, UNFORESEEN, USAGE, BAD_INPUT, CANNOT_WRITE, REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 5, 130
+OK, UNFORESEEN, USAGE, BAD_INPUT, CANNOT_WRITE, REFUSED, WORSE, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 130
 
 EXIT_CODES = (
     "Exit codes: 0 done (the answer's status is in result.json); 1 unforeseen, a bug; 2 the command line is wrong; "
     "3 the input is wrong; 4 the output cannot be written; 5 refused: no answer, and the result says why; "
-    "130 interrupted."
+    "6 worse than the baseline; 130 interrupted."
 )
 
 Progress = Callable[[float, str], None]

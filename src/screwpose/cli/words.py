@@ -96,11 +96,6 @@ def _short(name: str) -> str:
     return plain(name if len(name) <= _LONGEST_LABEL else f"{name[: _LONGEST_LABEL - 3]}...")
 
 
-def told_study(out: Path, tables: Sequence[Table]) -> str:
-    """The tables of a benchmark run, and where the rest is."""
-    return "\n".join([*(_rendered(table) for table in tables), f"Everything is in {out}: summary.json, tables.md"])
-
-
 def model_facts(report: MeshReport, proposal: LandmarkProposal) -> dict[str, Any]:
     """A mesh report and its proposed landmarks as plain values, for machines."""
     facts = {key: value for key, value in asdict(proposal).items() if value is not None}
@@ -132,7 +127,7 @@ def _triple(values: Sequence[float] | Any, form: str) -> str:
     return ", ".join(format(float(value), form) for value in values)
 
 
-def _rendered(table: Table) -> str:
+def rendered(table: Table) -> str:
     """A table as text, as wide as the terminal."""
     from rich.console import Console
 
