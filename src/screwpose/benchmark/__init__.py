@@ -1,42 +1,54 @@
-"""How good is it? Sets of cases, scoring against the truth, studies. (floor 7)"""
+"""How good is it? Sets of cases, methods, runs, scoring against the truth. (floor 7)"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from screwpose.benchmark.methods import METHODS, Method, get_method, register_method
+    from screwpose.benchmark.request import BenchRequest, make_request
+    from screwpose.benchmark.runner import BenchRun, run_bench
     from screwpose.benchmark.scoring import PoseError, compare, pairing_is_right, pose_error, screw_errors
     from screwpose.benchmark.sets import SETS, BenchmarkSet, get_set
-    from screwpose.benchmark.study import Study, run_study, summarise
-    from screwpose.benchmark.writing import write_study
+    from screwpose.benchmark.summary import summarise
 
 __all__ = [
+    "METHODS",
     "SETS",
+    "BenchRequest",
+    "BenchRun",
     "BenchmarkSet",
+    "Method",
     "PoseError",
-    "Study",
     "compare",
+    "get_method",
     "get_set",
+    "make_request",
     "pairing_is_right",
     "pose_error",
-    "run_study",
+    "register_method",
+    "run_bench",
     "screw_errors",
     "summarise",
-    "write_study",
 ]
 
 _MODULE_OF = {
+    "METHODS": "methods",
     "SETS": "sets",
+    "BenchRequest": "request",
+    "BenchRun": "runner",
     "BenchmarkSet": "sets",
+    "Method": "methods",
     "PoseError": "scoring",
-    "Study": "study",
     "compare": "scoring",
+    "get_method": "methods",
     "get_set": "sets",
+    "make_request": "request",
     "pairing_is_right": "scoring",
     "pose_error": "scoring",
-    "run_study": "study",
+    "register_method": "methods",
+    "run_bench": "runner",
     "screw_errors": "scoring",
-    "summarise": "study",
-    "write_study": "writing",
+    "summarise": "summary",
 }
 
 
