@@ -9,6 +9,7 @@ from screwpose.benchmark.sets_other import OTHER
 from screwpose.benchmark.sets_real import REAL, biplane_folder, landmarks_of_no_screw
 from screwpose.benchmark.sets_simulated import SIMULATED
 from screwpose.errors import InputError
+from screwpose.files.wording import nearest
 
 __all__ = [
     "SETS",
@@ -32,7 +33,11 @@ def get_set(name: str) -> BenchmarkSet:
         There is no such set.
     """
     if name not in SETS:
+        near = nearest(name, SETS)
         raise InputError(
-            f"there is no benchmark set {name!r}", field="--set", expected=f"one of {', '.join(sorted(SETS))}"
+            f"there is no benchmark set {name!r}",
+            field="--set",
+            expected=f"one of {', '.join(sorted(SETS))}",
+            remedy=f"Did you mean {near}?" if near else None,
         )
     return SETS[name]
