@@ -69,6 +69,11 @@ class Trunk:
         return np.array([self.half_width - inset, 0.5 * (self.front - inset + self.body_half_depth)])
 
     @property
+    def chest_half_mm(self) -> FloatArray:
+        """(2,): half width and half depth of the rib cage."""
+        return np.array([0.92 * (self.half_width - self.fat - 12.0), 0.4 * (self.front + self.back)])
+
+    @property
     def belly_y(self) -> float:
         """Of the hollow's middle, from the spine's middle line; it reaches as far back as the vertebral bodies."""
         return self.body_half_depth - float(self.belly_half_mm[1])

@@ -6,16 +6,13 @@ from itertools import pairwise
 import numpy as np
 
 from screwpose._types import FloatArray
-from screwpose.geometry.rigid import exp_rotation, transform
+from screwpose.geometry.rigid import exp_rotation
 from screwpose.implants.model import Mesh
 from screwpose.simulation import solids
 from screwpose.simulation.anatomy_fields import Coordinates, bar, ellipsoid, slab, smooth_intersection, smooth_union
-from screwpose.simulation.anatomy_physique import Physique
 from screwpose.simulation.bodies import Body
-from screwpose.simulation.spine import bone_bodies, measures_of_level
-from screwpose.simulation.spine_shapes import LEVEL_NAMES, shape_of_level
+from screwpose.simulation.spine import bone_bodies
 
-_LOWEST_RIB_LEVEL = LEVEL_NAMES.index("T12")
 _RIB_CORTEX_MM = 0.8
 # How far round the chest a rib goes (rad from the back) and how far it falls on the way (mm), from the twelfth up.
 _REACH_RAD = np.array([0.85, 1.55, 2.35, 2.6, 2.6, 2.6, 2.6])
@@ -24,57 +21,49 @@ _SACRAL_SLOPE_RAD = np.radians(40.0)
 _PELVIS_STEP_MM = 3.2
 
 
-def rib_bodies(physique: Physique, frames: FloatArray, rng: np.random.Generator) -> list[Body]:
-    """The ribs of T12 to T6, left and right; a twelfth rib may be short or missing.
+def rib_bodies(joints_mm: FloatArray, chest_mm: FloatArray, size: float, rng: np.random.Generator) -> list[Body]:
+    """Ribs, left and right, from the twelfth up; the twelfth may be short, or missing.
 
     Parameters
     ----------
-    frames : (12, 4, 4), world_from_level from L5 up.
+    joints_mm : (N, 2, 2, 3), in the world: of each pair's left and right rib the head, at the upper rim of the
+        vertebral body, and the tubercle, in front of the transverse process.
+    chest_mm : (2,), half width and half depth of the cage.
+    size : of the bones against the usual.
     """
     bodies = []
     fall = rng.uniform(0.75, 1.25)
-    chest = np.array([physique.half_width - physique.fat - 12.0, 0.8 * (physique.front + physique.back)]) * [0.92, 0.5]
-    for index in range(_LOWEST_RIB_LEVEL, len(frames)):
-        number = index - _LOWEST_RIB_LEVEL
-        for side in (1.0, -1.0):
+    for number, pair in enumerate(joints_mm[: len(_REACH_RAD)]):
+        for side, joint in zip((1.0, -1.0), pair, strict=True):
             reach = _REACH_RAD[number] * rng.uniform(0.93, 1.07)
             if number == 0:
                 if rng.random() < 0.08:
                     continue
                 reach *= rng.uniform(0.5, 1.0)
-            path = _rib_path(
-                physique, frames[index], index, side, chest, reach, fall * _FALL_MM[number] * rng.uniform(0.9, 1.1)
-            )
-            bodies += _rib(path, physique.size * rng.uniform(0.9, 1.1), rng)
+            narrower = 1.0 - 0.035 * max(number - 2, 0)
+            middle_x = 0.5 * float(pair[:, 0, 0].sum())
+            falls = fall * _FALL_MM[number] * rng.uniform(0.9, 1.1)
+            path = _rib_path(joint, side, middle_x, chest_mm * [narrower, 1.0], reach, falls)
+            bodies += _rib(path, size * rng.uniform(0.9, 1.1), rng)
     return bodies
 
 
 def _rib_path(
-    physique: Physique,
-    world_from_level: FloatArray,
-    index: int,
-    side: float,
-    chest_mm: FloatArray,
-    reach_rad: float,
-    fall_mm: float,
+    joint_mm: FloatArray, side: float, middle_x: float, chest_mm: FloatArray, reach_rad: float, fall_mm: float
 ) -> FloatArray:
     """The middle line (R, 3) in the world: from the body's upper rim, past the transverse process, round the chest."""
     from scipy.interpolate import CubicSpline
 
-    measures, shape, size = measures_of_level(physique, index), shape_of_level(index), physique.size
-    head = [0.9 * measures.half_width + 4.0, 0.75 * measures.half_depth, 0.3 * measures.height]
-    tubercle = np.array(shape.transverse_at) * size + [4.0, measures.half_depth - 4.0, -3.0]
-    joint = transform(world_from_level, np.array([head, tubercle.tolist()]) * [side, 1.0, 1.0])
-    # The chest's ellipse in the level's height; the back of it lies behind the transverse processes.
-    narrower = 1.0 - 0.035 * max(index - 7, 0)
-    middle = np.array([world_from_level[0, 3], joint[1, 1] + 16.0 - chest_mm[1], joint[1, 2]])
-    first = max(0.62, np.arcsin(min((abs(joint[1, 0] - middle[0]) + 14.0) / (chest_mm[0] * narrower), 0.95)))
+    # The chest's ellipse at the level's height; the back of it lies behind the transverse processes.
+    tubercle = joint_mm[1]
+    middle = np.array([middle_x, tubercle[1] + 16.0 - chest_mm[1], tubercle[2]])
+    first = max(0.62, np.arcsin(min((abs(tubercle[0] - middle_x) + 14.0) / chest_mm[0], 0.95)))
     angle = np.linspace(first, max(reach_rad, first + 0.25), 9)
     around = middle + np.column_stack([
-        side * chest_mm[0] * narrower * np.sin(angle), chest_mm[1] * np.cos(angle),
+        side * chest_mm[0] * np.sin(angle), chest_mm[1] * np.cos(angle),
         -6.0 - fall_mm * ((angle - first) / (_REACH_RAD[2] - 0.6)) ** 1.15,
     ])  # fmt: skip
-    points = np.concatenate([joint, around])
+    points = np.concatenate([joint_mm, around])
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
     return np.asarray(CubicSpline(way, points)(np.linspace(0.0, way[-1], max(12, int(way[-1] / 9.0)))))
 
@@ -87,17 +76,18 @@ def _rib(path: FloatArray, size: float, rng: np.random.Generator) -> list[Body]:
     return bone_bodies(solids.swept(path, halves), solids.swept(path[1:-1], halves[1:-1] - _RIB_CORTEX_MM), rng)
 
 
-def pelvis_bodies(physique: Physique, world_from_sacrum: FloatArray, rng: np.random.Generator) -> list[Body]:
+def pelvis_bodies(size: float, world_from_sacrum: FloatArray, rng: np.random.Generator) -> list[Body]:
     """Sacrum and iliac wings, cortex and marrow.
 
     Parameters
     ----------
+    size : against the usual.
     world_from_sacrum : (4, 4), in the middle of the sacrum's upper end plate.
     """
     upright = np.eye(4)
     upright[:3, :3] = exp_rotation(np.array([-_SACRAL_SLOPE_RAD, 0.0, 0.0]))
     pose = world_from_sacrum @ upright
-    outer, inner = (Mesh(made.vertices_mm * physique.size, made.faces) for made in _pelvis_bone())
+    outer, inner = (Mesh(made.vertices_mm * size, made.faces) for made in _pelvis_bone())
     return bone_bodies(outer, inner, rng, pose)
 
 

@@ -15,7 +15,7 @@ from screwpose.simulation import solids
 from screwpose.simulation.anatomy_physique import LEVELS, ORIGIN_LEVEL, Physique
 from screwpose.simulation.bodies import Body, Layer
 from screwpose.simulation.materials import CANCELLOUS_BONE, CORTICAL_BONE, DISC, Material
-from screwpose.simulation.spine_shapes import VertebraShape, bone_of_level, shape_of_level
+from screwpose.simulation.spine_shapes import LEVEL_NAMES, VertebraShape, bone_of_level, shape_of_level
 
 _MADE_LEVELS = (0, 2, 4, 6, 9)  # whose bones are made; the others are bent from the nearest
 _CORTEX_MM = 0.9  # about what the bones have
@@ -79,6 +79,18 @@ def measures_of_level(physique: Physique, index: int) -> LevelMeasures:
         pedicle_y=size * (shape.half_depth + 4.0),
         pedicle_z=size * shape.pedicle_z,
     )
+
+
+def rib_joints(physique: Physique, frames: FloatArray) -> FloatArray:
+    """Where the ribs of T12 and above meet their vertebrae, (N, 2, 2, 3), mm; see `ribs.rib_bodies`."""
+    joints = []
+    for index in range(LEVEL_NAMES.index("T12"), LEVELS):
+        measures, shape = measures_of_level(physique, index), shape_of_level(index)
+        head = np.array([0.9 * measures.half_width + 4.0, 0.75 * measures.half_depth, 0.3 * measures.height])
+        tubercle = physique.size * np.array(shape.transverse_at) + [4.0, measures.half_depth - 4.0, -3.0]
+        points = np.stack([head, tubercle])
+        joints.append([transform(frames[index], points * [side, 1.0, 1.0]) for side in (1.0, -1.0)])
+    return np.array(joints)
 
 
 def spine_bodies(physique: Physique, frames: FloatArray, rng: np.random.Generator) -> list[Body]:
