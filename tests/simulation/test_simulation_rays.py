@@ -264,7 +264,7 @@ def test_rays_exactly_through_vertices_and_edges():
 
 
 def test_sharp_metal_in_tissue_sampled_once_a_pixel():
-    """The tissue's crossings are those of the pixel's centre; its length net of the metal is exact but for curvature."""
+    """The tissue's crossings are those of the pixel's centre; its length net of metal is exact but for curvature."""
     tissue, metal = ball(40.0), box(12.0, (3.0, 2.0, 1.0))
     fine = lengths(Body(tissue, MUSCLE), Body(metal, TITANIUM, layer=Layer.IMPLANT), supersample=3)
     mixed = lengths(Body(tissue, MUSCLE, sharp=False), Body(metal, TITANIUM, layer=Layer.IMPLANT), supersample=3)
