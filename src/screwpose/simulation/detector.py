@@ -130,14 +130,10 @@ class Detector:
             self.source_isocenter_mm,
             f"between 0 and source_detector_mm, {self.source_detector_mm:g}",
         )
-        # Barrels of more than this fold the corners of an image over.
-        furthest = (np.hypot(*self.image_size) / min(self.image_size)) ** 2
-        _require(
-            -0.9 / (3.0 * furthest) < self.pincushion <= 0.5,
-            "pincushion",
-            self.pincushion,
-            f"more than {-0.9 / (3.0 * furthest):.3f}, at most 0.5",
-        )
+        # r (1 + c r^2) rises to 2 / 3 sqrt(-1 / 3c) for a barrel, and the image's corners have to come from somewhere.
+        corner = (np.hypot(*self.image_size) / min(self.image_size)) ** 2
+        least = -0.9 * 4.0 / (27.0 * corner)
+        _require(least < self.pincushion <= 0.5, "pincushion", self.pincushion, f"more than {least:.3f}, at most 0.5")
 
     @property
     def penumbra_px(self) -> float:

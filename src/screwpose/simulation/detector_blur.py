@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from screwpose._types import FloatArray
 
-# A screen's line spread falls by e in sqrt(H) / 2 pi, 0.1 mm; a focal spot's edge is as wide as its penumbra.
-_MARGIN_PX = 24
+_ALIASES = range(-8, 9)  # what lies beyond falls with the third power
 
 
 def penumbra_mm(focal_spot_mm: float, source_detector_mm: float, source_object_mm: float) -> float:
@@ -80,27 +79,46 @@ def blurred(image: FloatArray, sigma_px: float, penumbra_px: float, screen_h_px2
         return image
     from scipy.fft import irfft2, next_fast_len, rfft2
 
+    kernel = blur_kernel(sigma_px, penumbra_px, screen_h_px2)
     rows, columns = image.shape
-    margin = _MARGIN_PX + int(4.0 * max(sigma_px, penumbra_px) + 2.0 * np.sqrt(screen_h_px2))
+    margin = kernel.shape[0] // 2
     height, width = (next_fast_len(size + 2 * margin, real=True) for size in (rows, columns))
     padding = ((margin, height - rows - margin), (margin, width - columns - margin))
     spectrum = rfft2(np.pad(image, padding, mode="edge"))
-    spectrum *= _transfer((height, width), sigma_px, penumbra_px, screen_h_px2)
+    spectrum *= rfft2(kernel, s=(height, width))
+    # The kernel's middle is at (margin, margin), which moves the image by as much again.
     smooth = irfft2(spectrum, s=(height, width))
-    return np.asarray(smooth[margin : margin + rows, margin : margin + columns])
+    return np.asarray(smooth[2 * margin : 2 * margin + rows, 2 * margin : 2 * margin + columns])
 
 
-def _frequencies(shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Of a real transform, cycles per px: u (1, columns // 2 + 1) and v (rows, 1)."""
-    v = np.fft.fftfreq(shape[0])[:, None].astype(np.float64)
-    return np.fft.rfftfreq(shape[1])[None, :].astype(np.float64), v
+@lru_cache(maxsize=8)
+def blur_kernel(sigma_px: float, penumbra_px: float, screen_h_px2: float) -> FloatArray:
+    """Weights (size, size), none of them negative, of the pixels around the middle one.
 
-
-@lru_cache(maxsize=2)
-def _transfer(shape: tuple[int, int], sigma_px: float, penumbra_px: float, screen_h_px2: float) -> FloatArray:
-    u, v = _frequencies(shape)
-    sharpness = focal_spot_mtf(u, v, penumbra_px) * (gaussian_mtf(u, sigma_px) * gaussian_mtf(v, sigma_px))
-    return np.asarray(sharpness / (1.0 + screen_h_px2 * (u**2 + v**2)))
+    A kernel with exactly the analytic transfer up to the Nyquist frequency was tried: it rings from pixel to pixel by a
+    thousandth of a step, and beside air three hundred times brighter that is all of the signal. So each part is a
+    kernel that falls from its middle on: the screen's point spread, averaged over pixels; the spot as a binomial of its
+    variance; the Gaussian, sampled. For a C-arm they keep the analytic transfer to 0.025 up to half the Nyquist
+    frequency, and lie up to 0.12 above it from there on.
+    """
+    reach = int(np.ceil(2.0 + 5.0 * sigma_px + 2.0 * penumbra_px + 3.0 * np.sqrt(screen_h_px2)))
+    size = 2 * reach + 1
+    f = np.fft.fftfreq(size).astype(np.float64)
+    screen = np.ones((size, size))
+    if screen_h_px2 > 0.0:
+        screen = np.zeros((size, size))
+        for u in [f + alias for alias in _ALIASES]:
+            for v in [f[:, None] + alias for alias in _ALIASES]:
+                screen += np.sinc(u) * np.sinc(v) / (1.0 + screen_h_px2 * (u**2 + v**2))
+    # The binomial of n steps: each has an n-th of the variance w^2 / 12, and at most a sixth to either side.
+    steps = max(1, int(np.ceil(penumbra_px**2 / 4.0)))
+    spot = (1.0 - penumbra_px**2 / (12.0 * steps) * (1.0 - np.cos(2.0 * np.pi * f))) ** steps
+    at = np.minimum(np.arange(size), size - np.arange(size))
+    gaussian = np.exp(-0.5 * (at / max(sigma_px, 1e-3)) ** 2)
+    along = spot * np.fft.fft(gaussian / gaussian.sum()).real
+    kernel = np.fft.fftshift(np.fft.ifft2(screen * along[None, :] * along[:, None]).real)
+    kernel = np.maximum(kernel, 0.0)
+    return np.asarray(kernel / kernel.sum())
 
 
 def with_screen_correlation(white: NDArray[np.float32], screen_h_px2: float) -> NDArray[np.float32]:
@@ -116,5 +134,6 @@ def with_screen_correlation(white: NDArray[np.float32], screen_h_px2: float) -> 
 
 @lru_cache(maxsize=2)
 def _noise_amplitude(shape: tuple[int, int], screen_h_px2: float) -> NDArray[np.float32]:
-    u, v = _frequencies(shape)
+    v = np.fft.fftfreq(shape[0])[:, None].astype(np.float64)
+    u = np.fft.rfftfreq(shape[1])[None, :].astype(np.float64)
     return np.sqrt(noise_power(u, v, screen_h_px2)).astype(np.float32)
