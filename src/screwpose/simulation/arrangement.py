@@ -1,7 +1,7 @@
 """Where screws and C-arm stand: drawn until it is the situation that was asked for."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from screwpose.simulation.arrangement_screws import (
     PlacedScrew,
     capsules_of,
     drawn_screw,
+    drawn_sites,
     placed_capsules,
     towards_head_mm,
 )
@@ -22,8 +23,8 @@ from screwpose.simulation.carm import put_up_views, resized
 from screwpose.simulation.patient import Level
 from screwpose.simulation.scenes_options import SceneOptions
 
-_ATTEMPTS = 4000
-_HOPELESS = 400  # attempts of which none gets as far as a picture
+_ATTEMPTS = 1500
+_HOPELESS = 300  # attempts of which none gets as far as a picture
 _TRIES_A_SCREW = 25
 _MARGIN_PX = 20.0  # of 1024: tips and centres keep this from the border, and from a round field's rim
 _RIM_PX = 6.0  # of 1024, as `screwpose.simulation.scenes_bodies.RIM`
@@ -57,8 +58,7 @@ def arranged(
     options: SceneOptions,
     levels: Sequence[Level],
     implants: Sequence[Implant],
-    sites: Sequence[tuple[int, int]],
-    is_round: bool,
+    is_round: Callable[[bool], bool],
     suits: Callable[[Arrangement], str | None],
 ) -> Arrangement:
     """Draw until the screws are apart from each other and all else is as asked.
@@ -68,8 +68,7 @@ def arranged(
     Parameters
     ----------
     levels : of the patient.
-    sites : the level and the side of each implant.
-    is_round : whether the field is a circle.
+    is_round : whether the field is a circle, given whether it takes a large flat panel.
     suits : what is wrong with an arrangement, in a few words; None where nothing is. It is asked last.
 
     Raises
@@ -79,13 +78,12 @@ def arranged(
     """
     capsules = {implant.name: capsules_of(implant) for implant in implants}
     failures: Counter[str] = Counter()
-    drawn = 0
     for attempt in range(_ATTEMPTS):
+        sites = drawn_sites(rng, options, len(implants), len(levels))
         screws = _screws_apart(rng, options, levels, implants, sites, capsules)
         if screws is None:
             failures["the screws touch"] += 1
         else:
-            drawn += 1
             arrangement = _seen(rng, options, screws, is_round)
             refusal = suits(arrangement)
             if refusal is None:
@@ -134,9 +132,9 @@ def _screws_apart(
     return tuple(placed)
 
 
-def is_long(levels: Iterable[int]) -> bool:
-    """Whether so many levels are seen that it takes a large flat panel."""
-    return len(set(levels)) >= _WIDE_FROM_LEVELS
+def is_long(screws: Sequence[PlacedScrew]) -> bool:
+    """Whether they span so many levels that it takes a large flat panel."""
+    return len({screw.level for screw in screws}) >= _WIDE_FROM_LEVELS
 
 
 def detector_width_mm(options: SceneOptions, is_wide: bool) -> float:
@@ -145,9 +143,10 @@ def detector_width_mm(options: SceneOptions, is_wide: bool) -> float:
 
 
 def _seen(
-    rng: np.random.Generator, options: SceneOptions, screws: tuple[PlacedScrew, ...], is_round: bool
+    rng: np.random.Generator, options: SceneOptions, screws: tuple[PlacedScrew, ...], is_round: Callable[[bool], bool]
 ) -> Arrangement:
-    is_wide = is_long(screw.level for screw in screws)
+    is_wide = is_long(screws)
+    has_circle = is_round(is_wide)
     height = round(_WIDTH_PX * options.image_size[1] / options.image_size[0])
     middles = [s.landmarks_in_world_mm[1] + towards_head_mm(s.implant) * s.axis_in_world for s in screws]
     cameras, isocenters = put_up_views(
@@ -163,7 +162,8 @@ def _seen(
         (680.0, 720.0) if is_wide else (630.0, 670.0),
     )
     in_field = {
-        name: np.array([_is_in_field(camera, screw, is_round) for screw in screws]) for name, camera in cameras.items()
+        name: np.array([_is_in_field(camera, screw, has_circle) for screw in screws])
+        for name, camera in cameras.items()
     }
     return Arrangement(
         screws, {name: resized(camera, options.image_size) for name, camera in cameras.items()}, isocenters, in_field

@@ -19,7 +19,7 @@ from screwpose.implants.design import ScrewDesign
 from screwpose.implants.model import Implant
 from screwpose.simulation.arrangement import OUT_OF_FIELD, Arrangement, arranged, detector_width_mm, is_long
 from screwpose.simulation.arrangement_overlap import covered_shares
-from screwpose.simulation.arrangement_screws import PlacedScrew, drawn_designs, drawn_sites, made_implants
+from screwpose.simulation.arrangement_screws import PlacedScrew, drawn_designs, made_implants
 from screwpose.simulation.detector import Detector
 from screwpose.simulation.imperfections import Imperfections, reported_cameras, true_cameras
 from screwpose.simulation.patient import Patient, parametric_patient
@@ -226,27 +226,13 @@ def plan_scene(
     count = len(designs)
     in_patient, models = made_implants(tuple(designs)), made_implants(_as_given(designs, imperfections))
     who = patient(stream(seed, "patient"))
-    sites = drawn_sites(stream(seed, "sites"), options, count, len(who.levels))
-    is_wide = is_long(level for level, _ in sites)
-    detector = random_detector(
-        stream(seed, "detector"),
-        options.image_size,
-        detector_width_mm(options, is_wide),
-        0.0 if is_wide else options.round_field,
-    )
-    detector = replace(
-        detector,
-        pincushion=imperfections.pincushion,
-        s_distortion_rad=float(np.radians(imperfections.s_distortion_deg)),
-    )
-    draft = _Draft(options, imperfections, seed, count, detector)
+    draft = _Draft(options, imperfections, seed, count)
     arrangement = arranged(
         stream(seed, "layout"),
         options,
         who.levels,
         in_patient,
-        sites,
-        detector.field_radius_px is not None,
+        lambda is_wide: draft.detector(is_wide).field_radius_px is not None,
         draft.refusal,
     )
     marked = draft.of(arrangement)
@@ -263,7 +249,7 @@ def plan_scene(
         patient=who,
         screws=arrangement.screws,
         models=models,
-        detector=detector,
+        detector=draft.detector(is_long(arrangement.screws)),
         cameras=marked.reported,
         true_cameras=marked.true,
         annotations=annotations,
@@ -288,20 +274,35 @@ class _Marked:
 class _Draft:
     """What decides whether an arrangement will do, cheapest first."""
 
-    def __init__(
-        self, options: SceneOptions, imperfections: Imperfections, seed: int, count: int, detector: Detector
-    ) -> None:
-        self.options, self.imperfections, self.seed, self.detector = options, imperfections, seed, detector
+    def __init__(self, options: SceneOptions, imperfections: Imperfections, seed: int, count: int) -> None:
+        self.options, self.imperfections, self.seed = options, imperfections, seed
+        self._detectors = {is_wide: self._drawn_detector(is_wide) for is_wide in (False, True)}
         self.noise = stream(seed, "marks").standard_normal((count, len(VIEWS), 2, 2))
         asked = int(stream(seed, "missing").integers(options.missing[0], options.missing[1] + 1))
         self.count_missing = min(asked, most_missing(count))
         self.least_missing = min(options.missing[0], self.count_missing)
 
+    def _drawn_detector(self, is_wide: bool) -> Detector:
+        drawn = random_detector(
+            stream(self.seed, "detector"),
+            self.options.image_size,
+            detector_width_mm(self.options, is_wide),
+            0.0 if is_wide else self.options.round_field,
+        )
+        s_distortion_rad = float(np.radians(self.imperfections.s_distortion_deg))
+        return replace(drawn, pincushion=self.imperfections.pincushion, s_distortion_rad=s_distortion_rad)
+
+    def detector(self, is_wide: bool) -> Detector:
+        """The C-arm of the case: another where screws over many levels take a large flat panel."""
+        return self._detectors[is_wide]
+
     def of(self, arrangement: Arrangement) -> _Marked:
         """The cameras and the marks of an arrangement."""
         given = (arrangement.cameras, arrangement.isocenters, self.imperfections, self.seed)
         true = true_cameras(*given)
-        marks = marked_px(arrangement.screws, true, self.imperfections, self.detector, self.noise)
+        marks = marked_px(
+            arrangement.screws, true, self.imperfections, self.detector(is_long(arrangement.screws)), self.noise
+        )
         # What a dial drives out of the image cannot be marked either.
         seen = {v: arrangement.in_field[v] & is_inside(marks[v], self.options.image_size) for v in VIEWS}
         outside = marks_outside(seen, 2 * len(arrangement.screws)) or []
