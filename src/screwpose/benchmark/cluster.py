@@ -35,8 +35,8 @@ def on_this_machine(tasks: list[CaseTask], workers: int, forecast: Forecast) -> 
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
-            dashboard_address=None,
-            worker_dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
             memory_limit=0,  # a worker that is killed for its size would be killed again by the same case
             env=_ONE_THREAD,
             silence_logs=logging.CRITICAL,
@@ -79,7 +79,7 @@ def _gathered(client: Any, tasks: list[CaseTask], forecast: Forecast) -> Work:
     packed = [pickle.dumps(task) for task in tasks]
     futures = client.map(_courier(), packed, key=[f"{task.name}-{run}" for task in tasks], pure=False)
     task_of = dict(zip((future.key for future in futures), tasks, strict=True))
-    finished = distributed.as_completed(futures)
+    finished = distributed.as_completed(futures, loop=client.loop)
     del futures
     forecast.say()
     for future in finished:
