@@ -226,3 +226,38 @@ def plain_record(
         seconds=seconds,
         screws=screws,
     )
+
+
+def write_files(folder: Path, truth: TruthFile) -> Path:
+    """The case of a truth as files: X-rays with dark bars in grey noise, without parts; returns case.json's path."""
+    from screwpose.files.atomic import write_bytes, write_json
+    from screwpose.files.schema import AnnotationFile, CaseFile, ModelFile, ViewFile, as_matrix3x4
+    from screwpose.images.encoding import encode_png
+    from screwpose.implants.mesh import write_stl
+    from screwpose.projection.opencv import silhouette
+
+    folder.mkdir(parents=True)
+    case = case_of(truth)
+    write_stl(BAR.mesh, folder / "bar.stl")
+    views = {}
+    for name, view in case.views.items():
+        grey = np.random.default_rng(len(name)).normal(160, 12, (SIZE, SIZE))
+        for screw in truth.screws:
+            vertices = rigid.transform(np.array(screw.world_from_cad), BAR.mesh.vertices_mm)
+            grey[silhouette(view.camera.project(vertices), BAR.mesh.faces, (SIZE, SIZE))] = 25
+        write_bytes(folder / f"{name}.png", encode_png(np.clip(grey, 0, 255).astype(np.uint8)))
+        projection = as_matrix3x4(view.camera.projection)
+        views[name] = ViewFile(image=f"{name}.png", projection=projection, polarity="metal-dark")
+    annotations = {
+        name: tuple(
+            AnnotationFile(label=one.label, tip=tuple(one.tip_px.tolist()), center=tuple(one.center_px.tolist()))
+            for one in marks
+        )
+        for name, marks in case.annotations.items()
+    }
+    model = ModelFile(mesh="bar.stl", unit="mm", tip=as_point3(BAR.tip_mm), center=as_point3(BAR.center_mm))
+    write_json(folder / "truth.json", truth)
+    content = CaseFile(
+        format="screwpose-case/1", id="by-hand", views=views, models={"bar": model}, annotations=annotations
+    )
+    return write_json(folder / "case.json", content)

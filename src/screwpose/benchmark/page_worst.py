@@ -104,17 +104,21 @@ def _drawn(folder: Path, records: Sequence[CaseRecord], sets: Mapping[str, Bench
         try:
             path = _case_path(folder, records[0], sets, Path(scratch))
             case, truth = read_case(path), read_truth(path.parent)
-        except ScrewposeError as error:
+        except Exception as error:  # noqa: BLE001  hours of results must not go without a page for one picture
             for record in records:
-                yield WorstCase(record, _verdict(record), _numbers(record), problem=str(error))
+                yield WorstCase(record, _verdict(record), _numbers(record), problem=_told(error))
             return
         for record in records:
             try:
                 screws = read_result(result_file(folder, record)).screws
                 pictures = tuple(_pictures(case, truth, record, screws))
                 yield WorstCase(record, _verdict(record), _numbers(record), pictures)
-            except ScrewposeError as error:
-                yield WorstCase(record, _verdict(record), _numbers(record), problem=str(error))
+            except Exception as error:  # noqa: BLE001  as above
+                yield WorstCase(record, _verdict(record), _numbers(record), problem=_told(error))
+
+
+def _told(error: Exception) -> str:
+    return str(error) if isinstance(error, ScrewposeError) else f"{type(error).__name__}: {error}"
 
 
 def _case_path(folder: Path, record: CaseRecord, sets: Mapping[str, BenchmarkSet], scratch: Path) -> Path:

@@ -22,6 +22,11 @@ ERROR_TITLES = {
     "depth_mm": "tip in depth, mm",
     "projection_px": "projection, px",
 }
+RELATION_TITLES = {
+    "heads_mm": "distance of heads, mm",
+    "centers_mm": "distance of centres, mm",
+    "angle_deg": "angle of axes, deg",
+}
 STRATUM_TITLES = {
     "overlap": "Overlap of silhouettes",
     "epipolar_ambiguity_px": "Epipolar ambiguity, px",
@@ -124,8 +129,8 @@ def error_table(one: MethodMeasures) -> Table:
 
 def more_table(one: MethodMeasures) -> Table:
     """What a rod sees, parts that move, and the poses that the registration began with."""
-    found = {f"between screws: {key}": value for key, value in one.relations.items()}
-    found |= {f"part: {key}": value for key, value in one.parts.items()}
+    found = {f"between screws: {RELATION_TITLES.get(key, key)}": value for key, value in one.relations.items()}
+    found |= {f"part: {key.replace('_', ' ')}": value for key, value in one.parts.items()}
     found |= {f"start: {ERROR_TITLES.get(key, key)}": value for key, value in one.start.items()}
     return distribution_table("Between screws, of their parts, and at the start", found, {})
 
