@@ -146,12 +146,13 @@ def mesh_spine_patient(folder: str | Path, rng: np.random.Generator) -> Patient:
 
 
 def ct_patient(path: str | Path, rng: np.random.Generator) -> Patient:
-    """A patient from a CT volume, like the data folder's ``ct/example_ct.nii.gz``: real tissue, as far as voxels go.
+    """A patient from a CT volume, like the data folder's ``ct/example_ct.nii.gz``: real tissue, as far as it goes.
 
     The volume is the background; there are no bodies. Beyond its lowest and highest slice these go on, so that no view
-    looks past its end. Levels are found from the Hounsfield units (see `screwpose.simulation.spine_ct`); one volume with
-    voxels of 3 mm was tried: its five lumbar levels are found, their pedicles to about a voxel. Half depths of bodies are an adult's mean, not measured. Levels have no names. The world
-    is the file's, in LPS, moved so that the third lowest level found is its origin.
+    looks past its end. Levels are found from the Hounsfield units (see `screwpose.simulation.spine_ct`); one volume of
+    3 mm voxels was tried: its five lumbar levels are found, their pedicles to about a voxel. Half depths of bodies are
+    an adult's mean, not measured. Levels have no names. The world is the file's, in LPS, moved so that the third lowest
+    level found is its origin.
 
     Parameters
     ----------
