@@ -5,16 +5,19 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal
 
+import numpy as np
+
 from screwpose.files.case import Case
 from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
 from screwpose.pairing.answer import Trial, answered, refused
-from screwpose.pairing.confidence import judge, probabilities
+from screwpose.pairing.confidence import judge, judged_again, probabilities
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable, combinations
 from screwpose.pairing.plausibility import check_plausibility
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
+from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness
 from screwpose.registration import Progress, SearchOptions
 
 Method = Literal["default", "paper", "epipolar"]
@@ -24,6 +27,10 @@ after registration, `epipolar` by the landmarks' epipolar distances alone."""
 
 Engine = Literal["opencv", "bitrows"]
 """How masks are drawn: `opencv` triangle by triangle as in the paper, `bitrows` by the exact rule, and much faster."""
+
+
+Refinement = Literal["evolution", "thickness"]
+"""How screws are registered: `evolution`, the paper's search on silhouettes, or `thickness`, ours."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,8 @@ class SolveOptions:
     faces : triangles that a model is reduced to for the searches; None for the CAD as it is.
     combinations : at most so many are placed and scored.
     registered : at most so many of them are registered; all, where there are no more than 3 screws.
-    search : bounds, budget and seed of the registration.
+    refinement : how screws are registered; None: as in the paper for `paper` and `epipolar`, else by thickness.
+    search : bounds, budget and seed of the evolution. No generations: whatever the refinement, nothing is registered.
     engine : how masks are drawn; None: as in the paper for `paper`, else the fast one.
     """
 
@@ -48,6 +56,7 @@ class SolveOptions:
     registered: int = 2
     search: SearchOptions = field(default_factory=SearchOptions)
     engine: Engine | None = None
+    refinement: Refinement | None = None
 
 
 def solve(case: Case, options: SolveOptions | None = None, progress: Progress | None = None) -> Result:
@@ -94,12 +103,13 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     clock.lap("pairing")
 
     if options.search.generations > 0:
-        trials = _registered(evidence, trials, options, _within(tell, 0.2, 0.97))
+        refined = _registered if _refinement(options) == "evolution" else _registered_by_thickness
+        trials = refined(case, evidence, trials, options, _within(tell, 0.2, 0.97))
     clock.lap("registration")
 
     tell(0.97, "judging")
     trials = sorted(trials, key=_ORDERS[options.method])
-    confidence = judge([trial.combination for trial in trials], 0)
+    confidence = judge([trial.combination for trial in trials], 0, trials[0].probability)
     if confidence.status == "refused":
         return refused(case, confidence.reasons, clock.read("judging"))
     warnings = [finding.within_file() for finding in warnings_in(findings)]
@@ -129,21 +139,57 @@ def _placed(evidence: Evidence, ranked: list[Combination], tell: Progress) -> li
     return [tuple(poses[hypothesis][0] for hypothesis in one.hypotheses) for one in ranked]
 
 
-def _registered(evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress) -> list[Trial]:
-    """The trials, the most promising of them registered."""
+def _refinement(options: SolveOptions) -> Refinement:
+    return options.refinement or ("thickness" if options.method == "default" else "evolution")
+
+
+def _promising(trials: list[Trial], options: SolveOptions) -> list[Trial]:
+    """Those that are worth registering: all, where there are few screws."""
     few = all(len(trial.combination.hypotheses) <= 3 for trial in trials)
     count = len(trials) if few else min(options.registered, len(trials))
-    promising = sorted(trials, key=_PROMISING[options.method])[:count]
+    return sorted(trials, key=_PROMISING[options.method])[:count]
+
+
+def _registered(
+    _case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
+) -> list[Trial]:
+    """The trials, the most promising of them registered by the paper's search."""
+    promising = _promising(trials, options)
     done = []
     for index, trial in enumerate(promising):
-        within = _within(tell, index / count, (index + 1) / count, f"registering combination {index + 1} of {count}: ")
+        within = _of_several(tell, index, len(promising))
         found = refine(evidence, trial.combination, trial.placed, options.search, within)
         post = score(evidence, trial.combination, found.world_from_cad)
         done.append(replace(trial, found=found, post=post))
     return done + [trial for trial in trials if trial not in promising]
 
 
+def _registered_by_thickness(
+    case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
+) -> list[Trial]:
+    """The trials, the most promising of them registered by thickness, and all judged again by their marks."""
+    promising = _promising(trials, options)
+    centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
+    thickness = prepare_thickness(case, np.mean(centers, axis=0))
+    done = []
+    for index, trial in enumerate(promising):
+        within = _of_several(tell, index, len(promising))
+        found, quality = refine_by_thickness(case, thickness, trial.combination, trial.placed, options.noise, within)
+        post = score(evidence, trial.combination, found.world_from_cad)
+        done.append(replace(trial, found=found, post=post, quality=quality))
+    done += [trial for trial in trials if trial not in promising]
+    marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in done]
+    again = judged_again(np.array([trial.probability for trial in done]), *np.array(marks).T)
+    return [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
+
+
+def _of_several(tell: Progress, index: int, count: int) -> Progress:
+    return _within(tell, index / count, (index + 1) / count, f"registering combination {index + 1} of {count}: ")
+
+
 def _by_chi_square(trial: Trial) -> tuple[bool, float]:
+    if trial.quality is not None:
+        return False, trial.quality.mark_chi_square
     return trial.post is None, trial.combination.chi_square
 
 

@@ -9,7 +9,7 @@ from screwpose.errors import CancelledError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import ScrewDesign, make_screw
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.registration.recipe import STAGES, fit_by_thickness
+from screwpose.registration.recipe import STAGES, fit_by_thickness, scaled_stages
 from screwpose.registration.thickness_fit import Body, changed, energy, fit_at_scale, linearised
 from screwpose.similarity.thickness import make_gradient_target
 from screwpose.simulation.pathlength import path_length_mm
@@ -45,7 +45,7 @@ def targets() -> dict:
             for pose in TRUTH
         )
         images[name] = (0.8 * -np.expm1(-0.22 * np.asarray(lengths)) + rng.normal(0, 0.01, SIZE)).astype(np.float32)
-    for scale in (1, 2, 4, 8):
+    for scale in (1, 2, 3):
         made[scale] = [
             make_gradient_target(images[name], np.ones(SIZE, bool), camera, scale) for name, camera in CAMERAS.items()
         ]
@@ -122,8 +122,9 @@ def test_the_recipe_finds_roll_and_direction_by_itself(targets: dict) -> None:
         changed(body, pose, np.concatenate([turn * (pose[:3, :3] @ SCREW.axis), [0.5, 0.3, -0.4]]))
         for body, pose, turn in zip(both, TRUTH, (2.0, -1.2), strict=True)
     ]
-    # These pixels are twice the usual size: one scale less.
-    stages = [replace(STAGES[0], scale=4), replace(STAGES[1], scale=2), STAGES[3]]
+    stages = scaled_stages(0.46)
+    assert [scale for scale, _ in stages] == [3, 2, 1]
+    assert stages[-1][1] == replace(STAGES[3], tilts_deg=STAGES[2].tilts_deg, rolls_deg=STAGES[2].rolls_deg)
     told: list[float] = []
     fit = fit_by_thickness(both, start, targets, stages, lambda fraction, _: told.append(fraction))
     tip_mm, turn_deg = off(fit.world_from_cad)
@@ -132,6 +133,12 @@ def test_the_recipe_finds_roll_and_direction_by_itself(targets: dict) -> None:
     assert told == [0.0, 1 / 3, 2 / 3]
     again = fit_by_thickness(both, start, targets, stages)
     np.testing.assert_array_equal(again.world_from_cad, fit.world_from_cad)
+
+
+def test_fine_x_rays_are_reduced_more() -> None:
+    assert [scale for scale, _ in scaled_stages(0.2)] == [8, 4, 2, 1]
+    assert [scale for scale, _ in scaled_stages(0.066)] == [24, 12, 6, 3]
+    assert [scale for scale, _ in scaled_stages(1.7)] == [1]
 
 
 def test_energy_falls_where_a_screw_is_wrong(targets: dict) -> None:
@@ -145,4 +152,4 @@ def test_cancelling_stops_it(targets: dict) -> None:
         raise CancelledError("stopped by the user")
 
     with pytest.raises(CancelledError, match="stopped"):
-        fit_by_thickness(bodies(), TRUTH, targets, STAGES, stop)
+        fit_by_thickness(bodies(), TRUTH, targets, scaled_stages(0.46), stop)

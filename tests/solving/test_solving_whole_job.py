@@ -53,7 +53,7 @@ def test_it_pairs_right_and_places_the_screws(simulated: tuple[Case, TruthFile])
         implant, pose = case.implants[screw.model], np.array(screw.world_from_cad)
         np.testing.assert_allclose(pose @ [*implant.tip_mm, 1], [*screw.tip, 1], atol=1e-9)
         np.testing.assert_allclose(np.subtract(screw.center, screw.tip) / implant.length_mm, screw.axis, atol=1e-9)
-    assert any("roll" in warning for warning in answer.warnings)
+    assert not any("roll" in warning for warning in answer.warnings)
     fractions = [fraction for fraction, _ in told]
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
@@ -85,12 +85,12 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
     # Overlapping screws of one level: their marks nearly share epipolar lines, and the method says what it knows.
     one = found["epipolar"].answer
     assert pairing_is_right(one, truth) or one.pairing.status == "ambiguous"
-    assert found["default"].answer.combinations[0].probability > one.combinations[0].probability
+    assert found["default"].answer.combinations[0].probability >= one.combinations[0].probability
 
 
 def test_the_same_seed_gives_the_same_answer(simulated: tuple[Case, TruthFile]) -> None:
     case, _ = simulated
-    few = replace(QUICK, faces=200, search=SearchOptions(generations=3, population=2))
+    few = replace(QUICK, method="paper", engine="bitrows", faces=200, search=SearchOptions(generations=12, population=3))
     answers = [solve(case, replace(few, search=replace(few.search, seed=seed))).answer for seed in (5, 5, 6)]
     poses = [[screw.world_from_cad for screw in answer.screws] for answer in answers]
     assert poses[0] == poses[1] != poses[2]

@@ -9,7 +9,7 @@ from screwpose.geometry.camera import Camera
 def fundamental_matrix(first: Camera, second: Camera) -> FloatArray:
     """The matrix F (3, 3) with ``[u v 1]_second F [u v 1]_first^T = 0`` for the images of one point.
 
-    ``F = [e]_x P_second P_first^+``, e the image of the first source in the second view; normalised to Frobenius norm 1.
+    ``F = [e]_x P_second P_first^+``, e the image of the first source in the second view; of Frobenius norm 1.
 
     References
     ----------

@@ -28,6 +28,7 @@ from screwpose.pairing.evidence import Evidence, Poses, score_each
 from screwpose.pairing.hypotheses import Combination
 from screwpose.pairing.landmark_fit import landmark_offsets_px
 from screwpose.pairing.segment import LandmarkNoise
+from screwpose.pairing.thickness import Quality
 from screwpose.registration import SearchResult
 from screwpose.similarity import SceneScore
 
@@ -36,17 +37,26 @@ _CHECK_DICE = 0.4
 _FAILED_DICE = 0.1
 # A registered screw whose outline meets edges of the image has a loss of some -0.03 or lower; noise gives some -0.002.
 _CHECK_LOSS = -0.01
-_ABOUT_THE_POSES = (
+_PLACED_ONLY = (
+    "the screws were placed on their landmarks and not registered: expect errors of a millimetre or two and some "
+    "degrees, and do not rely on the roll about a screw's axis"
+)
+_SILHOUETTE_BIAS = (
     "the poses come from the paper's silhouette loss, which is biased: expect errors of a millimetre or two, "
     "and do not rely on the roll about a screw's axis (docs/benchmarks.md)"
 )
+# Good fits explain 0.7 to 0.9 of the gradient energy near them; fits that went astray have had up to 0.67.
+_CHECK_ENERGY = 0.4
 # A registered model this many sigma from a mark has left its landmark (or the landmark was wrong).
 _FAR_MARK_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One combination through the paper's steps; what was not registered has no `found` and no `post`."""
+    """One combination through the steps; what was not registered has no `found` and no `post`.
+
+    `quality` is there where it was registered by the thickness model.
+    """
 
     combination: Combination
     probability: float
@@ -54,6 +64,7 @@ class Trial:
     pre: SceneScore
     found: SearchResult | None = None
     post: SceneScore | None = None
+    quality: Quality | None = None
 
 
 def refused(case: Case, reasons: Sequence[str], timing_s: dict[str, float]) -> Result:
@@ -118,7 +129,7 @@ def answered(
             for number, trial in numbered
         ),
         screws=screws,
-        warnings=(*case.warnings, *warnings, *confidence.reasons, *doubts, *alone, _ABOUT_THE_POSES),
+        warnings=(*case.warnings, *warnings, *confidence.reasons, *doubts, *alone, *_about_the_poses(trials[0])),
         timing_s=timing_s,
     )
     scenes = tuple(
@@ -130,6 +141,13 @@ def answered(
         for number, trial in numbered
     )
     return Result(answer, scenes)
+
+
+def _about_the_poses(trial: Trial) -> list[str]:
+    """What a reader must know of all poses."""
+    if trial.quality is not None:
+        return []
+    return [_PLACED_ONLY if trial.found is None else _SILHOUETTE_BIAS]
 
 
 def _screws(
@@ -152,6 +170,12 @@ def _screws(
             for view, score in post[index].views.items()
             if score.loss > _CHECK_LOSS
         ]
+        if trial.quality is not None and index == 0:
+            words += [
+                f"the screws explain little of the edges in {view} (energy {energy:.2f})"
+                for view, energy in trial.quality.energies.items()
+                if energy < _CHECK_ENERGY
+            ]
         if trial.found is not None and trial.found.at_bound[index]:
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"

@@ -39,6 +39,27 @@ def probabilities(combinations: Sequence[Combination]) -> FloatArray:
     return np.asarray(weights / weights.sum(), dtype=np.float64)
 
 
+def judged_again(known: FloatArray, chi_square: FloatArray, degrees_of_freedom: FloatArray) -> FloatArray:
+    """Probabilities (K,) once some combinations were registered, by how far their marks are from their models.
+
+    Those that were not registered keep what they had; the others share theirs by ``exp(-chi^2 / 2)``, again divided
+    by Birge's ratio.
+
+    Parameters
+    ----------
+    known : (K,), from the landmarks alone.
+    chi_square, degrees_of_freedom : (K,), of the marks about the registered models; NaN where not registered.
+    """
+    registered = np.isfinite(chi_square)
+    if not registered.any():
+        return known
+    best = int(np.nanargmin(chi_square))
+    ratio = max(1.0, float(chi_square[best] / degrees_of_freedom[best]))
+    weights = np.where(registered, np.exp(-(np.nan_to_num(chi_square) - chi_square[best]) / (2.0 * ratio)), 0.0)
+    shared = float(known[registered].sum())
+    return np.asarray(np.where(registered, shared * weights / weights.sum(), known), dtype=np.float64)
+
+
 def p_value(combination: Combination) -> float:
     """The chance of landmarks at least this far off, if the combination is right and the noise is as assumed."""
     from scipy.stats import chi2
@@ -53,7 +74,7 @@ def p_value_of(hypothesis: Hypothesis) -> float:
     return float(chi2.sf(hypothesis.fit.chi_square, hypothesis.fit.degrees_of_freedom))
 
 
-def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
+def judge(combinations: Sequence[Combination], chosen: int, probability: float | None = None) -> Confidence:
     """Judge the choice of one combination by the landmarks.
 
     Parameters
@@ -61,8 +82,10 @@ def judge(combinations: Sequence[Combination], chosen: int) -> Confidence:
     combinations : all that were considered.
     chosen : index of the one that the method chose. A method that does not ask the landmarks may choose one that they
         contradict: that is an answer with a low probability. Refused is only where they contradict all.
+    probability : of the chosen one, where more is known of it than its landmarks' chi-square.
     """
-    probability = float(probabilities(combinations)[chosen])
+    if probability is None:
+        probability = float(probabilities(combinations)[chosen])
     best = min(combinations, key=lambda combination: combination.chi_square)
     if p_value(best) < _IMPOSSIBLE_P_VALUE:
         return Confidence(

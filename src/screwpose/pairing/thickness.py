@@ -1,0 +1,112 @@
+"""Step 7 as we do it: the screws of a combination registered by the thickness model, their marks as a prior.
+
+A wrong combination may slide onto the true poses, and then explains the images well: the images say nothing about the
+labels. The marks do. So once registered, a combination is judged by how far its marks are from its models.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from screwpose._types import FloatArray
+from screwpose.files.case import Case
+from screwpose.implants.model import Implant, Mesh
+from screwpose.pairing.evidence import Poses
+from screwpose.pairing.hypotheses import Combination, Hypothesis
+from screwpose.pairing.segment import LandmarkNoise
+from screwpose.registration import Progress, SearchResult
+from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
+from screwpose.registration.recipe import Stage, Targets, fit_by_thickness, scaled_stages
+from screwpose.registration.thickness_fit import Body
+from screwpose.similarity.thickness import make_gradient_target
+
+# Larger models are reduced: twice the triangles that a screw with its tower needs for a hundredth of a millimetre.
+_MOST_FACES = 12_000
+
+
+@dataclass(frozen=True, eq=False)
+class Thickness:
+    """What combinations are registered with: the X-rays by scale, and closed meshes by model."""
+
+    targets: Targets
+    stages: list[tuple[int, Stage]]
+    meshes: dict[str, Mesh]
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How good a registration is.
+
+    Parameters
+    ----------
+    energies : by view name, the share of the image's gradient energy near the screws that their models explain.
+    mark_chi_square : squared distances of the marks from the registered landmarks, over their variance: each screw
+        has 4 numbers a view, and hardly any freedom left.
+    marks : how many numbers that are.
+    """
+
+    energies: dict[str, float]
+    mark_chi_square: float
+    marks: int
+
+
+def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
+    """Reduce the X-rays to every scale, and large models to what is needed.
+
+    Parameters
+    ----------
+    center_mm : (3,), in world, about where the screws are.
+    """
+    from screwpose.images import log_image
+    from screwpose.implants.mesh import reduced
+
+    logs = {name: log_image(view.radiograph.pixels) for name, view in case.views.items()}
+    stages = scaled_stages(float(np.mean([view.camera.mm_per_px_at(center_mm) for view in case.views.values()])))
+    targets = {
+        scale: [make_gradient_target(logs[name], view.mask, view.camera, scale) for name, view in case.views.items()]
+        for scale, _ in stages
+    }
+    meshes = {
+        name: implant.mesh if len(implant.mesh.faces) <= _MOST_FACES else reduced(implant.mesh, _MOST_FACES)
+        for name, implant in case.implants.items()
+    }
+    return Thickness(targets, stages, meshes)
+
+
+def refine_by_thickness(
+    case: Case,
+    thickness: Thickness,
+    combination: Combination,
+    poses: Poses,
+    noise: LandmarkNoise,
+    progress: Progress | None = None,
+) -> tuple[SearchResult, Quality]:
+    """Register the screws of a combination together, from where they were placed."""
+    bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
+    # Marks that are less sure hold less.
+    looser = noise.sigma_px / LandmarkNoise().sigma_px
+    stages = [(scale, replace(stage, mark_sigma_px=stage.mark_sigma_px * looser)) for scale, stage in thickness.stages]
+    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress)
+    chi_square, marks = 0.0, 0
+    for body, pose in zip(bodies, fit.world_from_cad, strict=True):
+        assert body.marks is not None
+        residuals, _ = mark_residuals(body.implant, pose, body.marks, noise.sigma_px)
+        chi_square += float(residuals @ residuals)
+        marks += len(residuals)
+    energies = dict(zip(case.views, fit.linearised.energies, strict=True))
+    found = SearchResult(fit.world_from_cad, -float(np.mean(list(energies.values()))), 0, tuple(False for _ in bodies))
+    return found, Quality(energies, chi_square, marks)
+
+
+def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:
+    implant: Implant = case.implants[hypothesis.model]
+    by_label = {(view, mark.label): mark for view, marks in case.annotations.items() for mark in marks}
+    marks = [by_label[key] for key in hypothesis.labels]
+    cameras = [case.views[view].camera for view, _ in hypothesis.labels]
+    marked = MarkedScrew(cameras, _stacked([m.tip_px for m in marks]), _stacked([m.center_px for m in marks]))
+    return Body(implant, thickness.meshes[hypothesis.model], marked)
+
+
+def _stacked(points: Sequence[FloatArray]) -> FloatArray:
+    return np.stack([np.asarray(point, dtype=np.float64) for point in points])
