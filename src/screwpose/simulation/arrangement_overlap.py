@@ -1,14 +1,17 @@
 """How much of each screw do the others hide?"""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from screwpose._types import BoolArray, FloatArray
 from screwpose.geometry.camera import Camera
 from screwpose.geometry.rigid import transform
+from screwpose.implants.model import Mesh
 from screwpose.simulation.arrangement_screws import PlacedScrew
 from screwpose.simulation.carm import resized
+from screwpose.simulation.closing import closed_mesh
 from screwpose.simulation.pathlength import path_length_patch
 
 _WIDTH_PX = 256
@@ -33,6 +36,13 @@ def silhouette(camera: Camera, screw: PlacedScrew) -> BoolArray:
     coarse = resized(camera, size)
     image = np.zeros(size[::-1], dtype=bool)
     for mesh, pose in screw.pieces:
-        patch = path_length_patch(coarse, transform(pose, mesh.vertices_mm)[mesh.faces], size, 1)
+        closed = _closed(mesh)
+        patch = path_length_patch(coarse, transform(pose, closed.vertices_mm)[closed.faces], size, 1)
         image[patch.window] |= patch.samples_mm > 0.0
     return image
+
+
+@lru_cache(maxsize=32)
+def _closed(mesh: Mesh) -> Mesh:
+    """As it is X-rayed. Meshes are told apart by identity: an arrangement is tried many times with the same ones."""
+    return closed_mesh(mesh)

@@ -130,7 +130,7 @@ def _model_name(design: ScrewDesign) -> str:
 
 
 def _free_name(wanted: str, taken: set[str]) -> str:
-    suffixes = ["", *"bcdefghijklmnop"]
+    suffixes: tuple[str, ...] = ("", *"bcdefghijklmnop")
     return next(wanted + suffix for suffix in suffixes if wanted + suffix not in taken)
 
 

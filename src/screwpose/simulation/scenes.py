@@ -363,7 +363,7 @@ def xrayed(plan: ScenePlan, with_anatomy: bool = True) -> SimulatedCase:
         return render_views(plan.true_cameras, [*bodies, *more], plan.detector, noise, volume)
 
     needles = {}
-    for index, needle in enumerate(needle_bodies(plan.screws) if plan.options.needles else ()):
+    for index, needle in enumerate(needle_bodies(plan.screws, plan.true_cameras) if plan.options.needles else ()):
         # By the label in AP, as one works; by that in LAT where AP has none.
         name = plan.labels[index].get("AP") or plan.labels[index]["LAT"]
         needles[name] = NeedleAcquisition(index, exposed([needle], f"needle {index}"))

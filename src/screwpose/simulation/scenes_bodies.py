@@ -1,10 +1,16 @@
 """What stands in the beam of a scene: patient, metal, clutter, needles; and the detector behind it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from screwpose._types import BoolArray
+from screwpose.geometry.camera import Camera
+from screwpose.geometry.rigid import transform
+from screwpose.implants.model import Mesh
+from screwpose.simulation.arrangement_overlap import silhouette
 from screwpose.simulation.arrangement_screws import PlacedScrew
+from screwpose.simulation.carm import resized
 from screwpose.simulation.detector import Detector
 from screwpose.simulation.materials import COBALT_CHROME, STEEL, TITANIUM, Material
 from screwpose.simulation.patient import Patient
@@ -14,8 +20,9 @@ from screwpose.simulation.volume import CtVolume
 from screwpose.simulation.xray import Body, Layer
 
 RIM = 6.0 / 1024  # a round field ends this far within the shorter side, as a share of it
+_NEEDLE_ANGLES_RAD = np.arange(12) * (np.pi / 6.0)  # round a tower
 _QUANTA_PER_NGY = 30.2 * 0.63  # that a mm^2 counts, behind a patient
-_KEEP_OUT_MM = 9.0  # from a screw's axis: the widest heads are 13 mm across
+_NEAR_MM = 75.0  # from a screw's tip: levels at which instruments are put
 
 
 def bodies_of_scene(
@@ -33,7 +40,7 @@ def bodies_of_scene(
         Body(mesh, metal, world_from_body=pose, layer=Layer.IMPLANT) for screw in screws for mesh, pose in screw.pieces
     ]
     volume = None if patient is None else patient.volume
-    return [*tissues, *clutter_bodies(screws, clutter_count(options, seed), seed), *implants], volume
+    return [*tissues, *clutter_bodies(patient, screws, clutter_count(options, seed), seed), *implants], volume
 
 
 def metal_of(seed: int) -> Material:
@@ -46,21 +53,47 @@ def clutter_count(options: SceneOptions, seed: int) -> int:
     return int(stream(seed, "clutter count").integers(options.clutter[0], options.clutter[1] + 1))
 
 
-def clutter_bodies(screws: Sequence[PlacedScrew], count: int, seed: int) -> list[Body]:
+def clutter_bodies(patient: Patient | None, screws: Sequence[PlacedScrew], count: int, seed: int) -> list[Body]:
     """Instruments that the screws do not touch."""
     if count == 0:
         return []
     from screwpose.simulation.instruments import random_clutter
 
-    keep_out = [(screw.landmarks_in_world_mm[0], screw.axis_in_world, _KEEP_OUT_MM) for screw in screws]
-    return random_clutter(stream(seed, "clutter"), keep_out, count)
+    keep_out = [Mesh(transform(pose, mesh.vertices_mm), mesh.faces) for screw in screws for mesh, pose in screw.pieces]
+    if patient is None:
+        return random_clutter(stream(seed, "clutter"), keep_out, count)
+    tips = [screw.landmarks_in_world_mm[0] for screw in screws]
+    in_view = [
+        level
+        for level in patient.levels
+        if min(np.linalg.norm(level.world_from_level[:3, 3] - tip) for tip in tips) < _NEAR_MM
+    ]
+    return random_clutter(stream(seed, "clutter"), keep_out, count, levels=in_view or None, back_mm=patient.back_mm)
 
 
-def needle_bodies(screws: Sequence[PlacedScrew]) -> list[Body]:
-    """For each screw a needle along its tower."""
+def needle_bodies(screws: Sequence[PlacedScrew], cameras: Mapping[str, Camera]) -> list[Body]:
+    """For each screw a needle along its tower, on the side where both views show the most of it."""
     from screwpose.simulation.needles import needle_along
 
-    return [needle_along(screw.implant, screw.world_from_cad @ screw.upright_from_tower) for screw in screws]
+    hidden = {
+        view: np.logical_or.reduce([silhouette(camera, screw) for screw in screws]) for view, camera in cameras.items()
+    }
+    needles = []
+    for screw in screws:
+        pose = screw.world_from_cad @ screw.upright_from_tower
+        tried = [needle_along(screw.implant, pose, angle_rad=angle) for angle in _NEEDLE_ANGLES_RAD]
+        needles.append(max(tried, key=lambda needle: min(_seen_of(needle, cameras[v], hidden[v]) for v in cameras)))
+    return needles
+
+
+def _seen_of(needle: Body, camera: Camera, hidden: BoolArray) -> int:
+    """How many of the pixels of a coarse image show the needle beside the screws."""
+    low, high = needle.mesh.vertices_mm.min(axis=0), needle.mesh.vertices_mm.max(axis=0)
+    line = low + np.linspace(0.0, 1.0, 400)[:, None] * (high - low)  # a thin wire: its box's diagonal will do
+    coarse = resized(camera, hidden.shape[::-1])
+    pixels = np.unique(np.round(coarse.project(transform(needle.world_from_body, line))).astype(int), axis=0)
+    inside = pixels[((pixels >= 0) & (pixels < hidden.shape[::-1])).all(axis=1)]
+    return int(np.count_nonzero(~hidden[inside[:, 1], inside[:, 0]]))
 
 
 def random_detector(
