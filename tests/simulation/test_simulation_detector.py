@@ -173,6 +173,13 @@ def test_electronic_noise_stays_white():
     assert beside[0] == pytest.approx(beside[1], abs=0.02 * 200.0**2)
 
 
+def test_light_that_strays_brings_no_noise():
+    """The low-frequency drop takes an eighth of the amplitude away."""
+    detector = replace(PLAIN, counts_per_px=1000.0, electronic_noise=0.0, screen_h_mm2=0.5)
+    sharp, glaring = (noise_of(one, 1.0, 4, 7) for one in (detector, replace(detector, glare_fraction=0.125)))
+    np.testing.assert_allclose(glaring.std() / sharp.std(), 0.875, rtol=1e-4)
+
+
 def test_the_same_generator_gives_the_same_noise():
     even = np.ones((64, 64))
     for detector in (low_dose((64, 64)), Detector(counts_per_px=20.0)):

@@ -108,6 +108,7 @@ def test_tungsten_lines_stand_out_above_their_edge_only():
         assert bool(photons[energy == 59.5][0] > 1.5 * around) == has_lines
         assert bool(photons[energy == 57.5][0] > photons[energy == 56.5][0]) == has_lines
     assert not tube_spectrum(72.3)[energy > 73.0].any()
+    assert not tube_spectrum(66.5)[energy > 67.0].any()  # no K beta, though 70 kV has one
 
 
 def test_a_voltage_between_is_interpolated(monkeypatch):
