@@ -8,9 +8,12 @@ import contextlib
 import logging
 import pickle
 import secrets
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from importlib import import_module
+from multiprocessing import resource_tracker
 from typing import Any
 
 from screwpose.benchmark.run_progress import Forecast
@@ -25,12 +28,16 @@ Work = Iterator[tuple[CaseTask, Sequence[MethodOutcome]]]
 
 def on_this_machine(tasks: list[CaseTask], workers: int, forecast: Forecast) -> Work:
     """Do the cases in processes of this machine; they can be reached from it alone."""
-    dask, distributed = import_module("dask"), import_module("distributed")
+    distributed = import_module("distributed")
     forecast.say(f"starting {workers} workers")
+    with _deaf_to_ctrl_c(lambda: _local_cluster(workers)) as cluster, distributed.Client(cluster) as client:
+        yield from _gathered(client, tasks, forecast)
+
+
+def _local_cluster(workers: int) -> Any:
     # A process that is forked after threads have run can hang: numba's have.
-    with (
-        dask.config.set({"distributed.worker.multiprocessing-method": "spawn"}),
-        distributed.LocalCluster(
+    with import_module("dask").config.set({"distributed.worker.multiprocessing-method": "spawn"}):
+        return import_module("distributed").LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
@@ -40,10 +47,33 @@ def on_this_machine(tasks: list[CaseTask], workers: int, forecast: Forecast) -> 
             memory_limit=0,  # a worker that is killed for its size would be killed again by the same case
             env=_ONE_THREAD,
             silence_logs=logging.CRITICAL,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield from _gathered(client, tasks, forecast)
+        )
+
+
+def _deaf_to_ctrl_c(start: Callable[[], Any]) -> Any:
+    """What `start` returns, made in a thread that no Ctrl-C reaches, nor the processes that it starts, then or later.
+
+    A terminal sends Ctrl-C to all of them. This process alone is to answer it, while it waits here too.
+    """
+    # Its start opens a thread's ears again, so it must not come with the first worker's.
+    resource_tracker.ensure_running()
+    made: list[Any] = []
+    failed: list[Exception] = []
+
+    def run() -> None:
+        if hasattr(signal, "pthread_sigmask"):  # not on Windows
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            made.append(start())
+        except Exception as error:  # noqa: BLE001  raised again below, in the thread that asked
+            failed.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join()
+    if failed:
+        raise failed[0]
+    return made[0]
 
 
 def on_scheduler(tasks: list[CaseTask], address: str, forecast: Forecast) -> Work:
@@ -154,13 +184,15 @@ def _wait_for_workers(client: Any, address: str, forecast: Forecast) -> None:
 @contextlib.contextmanager
 def _quiet_logs() -> Iterator[None]:
     """Keep dask's own words off the terminal: what matters is said by an error of ours."""
-    logger = logging.getLogger("distributed")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    before = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def _first_line(error: Exception) -> str:

@@ -13,7 +13,7 @@ from screwpose.files.schema import ResultFile
 from screwpose.implants.health import MeshReport
 from screwpose.implants.landmarks import LandmarkProposal
 from screwpose.report.comparison import Comparison
-from screwpose.report.tables import Table, chosen_combination, pairs_text
+from screwpose.report.tables import chosen_combination, pairs_text
 
 _MEANING = {
     "confident": "the landmarks leave no other pairing",
@@ -125,13 +125,3 @@ def told_model(file: Path, unit: str, report: MeshReport, proposal: LandmarkProp
 
 def _triple(values: Sequence[float] | Any, form: str) -> str:
     return ", ".join(format(float(value), form) for value in values)
-
-
-def rendered(table: Table) -> str:
-    """A table as text, as wide as the terminal."""
-    from rich.console import Console
-
-    console = Console()
-    with console.capture() as capture:
-        console.print(table.to_rich())
-    return capture.get().rstrip("\n")

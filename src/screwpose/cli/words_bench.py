@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-from screwpose.benchmark import tables
-from screwpose.benchmark.gate import read_baseline
 from screwpose.benchmark.methods import METHODS
 from screwpose.benchmark.record import CaseRecord
 from screwpose.benchmark.runner import BenchRun
 from screwpose.benchmark.sets import SETS
 from screwpose.benchmark.tasks import UNFORESEEN, case_name
 from screwpose.cli.terminal import paragraph
-from screwpose.cli.words import rendered
 from screwpose.files.result import read_summary
+from screwpose.files.schema import MethodSummary, PairingRates
 
 _MOST_NAMED = 5
 
@@ -40,13 +38,25 @@ def told_listing() -> str:
 
 
 def told_run(run: BenchRun) -> str:
-    """The first tables of a run, what failed, and where the rest is."""
-    measures = read_baseline(run.path / "measures.json")
+    """The first figures of a run, what failed, and where the rest is."""
     lines = [paragraph(note) for note in run.notes]
-    lines += [rendered(table) for table in (tables.headline_table(measures), tables.accuracy_table(measures))]
+    for set_name, one_set in read_summary(run.path / "summary.json").sets.items():
+        lines += [
+            paragraph(f"{set_name}, {name}: {_told_figures(one)}", "    ") for name, one in one_set.methods.items()
+        ]
     lines += _told_failed(run.failed)
     lines.append(f"Everything is in {run.path}: open {run.path / 'report.html'}")
     return "\n".join(lines)
+
+
+def _told_figures(one: MethodSummary) -> str:
+    rates = one.pairing or PairingRates()
+    shares = {"right": rates.right, "sure and wrong": rates.confident_wrong, "refused": rates.refused}
+    told = [f"{one.cases} cases", *(f"{what} {share:.1%}" for what, share in shares.items() if share is not None)]
+    for name, block, unit in (("tip", one.tip_mm, "mm"), ("axis", one.axis_deg, "deg"), ("time", one.seconds, "s")):
+        if block is not None:
+            told.append(f"{name} {block.median:.2f} {unit} (p90 {block.p90:.2f}, worst {block.max:.2f})")
+    return "; ".join(told)
 
 
 def _told_failed(failed: Sequence[CaseRecord]) -> list[str]:
