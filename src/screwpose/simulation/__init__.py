@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from screwpose.simulation.carm import CArm, carm_camera
     from screwpose.simulation.detector import Detector
+    from screwpose.simulation.distortion import distorted_px, undistorted_px
     from screwpose.simulation.imperfections import Imperfections
-    from screwpose.simulation.materials import MATERIALS, Material
+    from screwpose.simulation.materials import MATERIALS, EnergyBins, Material, energy_bins
     from screwpose.simulation.pathlength import path_length_mm
     from screwpose.simulation.scenes import (
         NeedleAcquisition,
@@ -35,6 +36,7 @@ __all__ = [
     "CArm",
     "CtVolume",
     "Detector",
+    "EnergyBins",
     "Imperfections",
     "Layer",
     "Material",
@@ -45,6 +47,8 @@ __all__ = [
     "SimulatedView",
     "SimulatedXray",
     "carm_camera",
+    "distorted_px",
+    "energy_bins",
     "path_length_mm",
     "plan_scene",
     "read_ct",
@@ -53,6 +57,7 @@ __all__ = [
     "simulate_scene",
     "transmission",
     "two_screw_scene",
+    "undistorted_px",
     "write_case",
     "xrayed",
 ]
@@ -63,6 +68,7 @@ _MODULE_OF = {
     "CArm": "carm",
     "CtVolume": "volume",
     "Detector": "detector",
+    "EnergyBins": "materials",
     "Imperfections": "imperfections",
     "Layer": "xray",
     "Material": "materials",
@@ -73,6 +79,8 @@ _MODULE_OF = {
     "SimulatedView": "scenes",
     "SimulatedXray": "xray",
     "carm_camera": "carm",
+    "distorted_px": "distortion",
+    "energy_bins": "materials",
     "path_length_mm": "pathlength",
     "plan_scene": "scenes",
     "read_ct": "volume",
@@ -81,6 +89,7 @@ _MODULE_OF = {
     "simulate_scene": "scenes",
     "transmission": "xray",
     "two_screw_scene": "scenes",
+    "undistorted_px": "distortion",
     "write_case": "writing",
     "xrayed": "scenes",
 }
