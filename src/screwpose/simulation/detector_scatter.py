@@ -8,9 +8,9 @@ import numpy as np
 from screwpose._types import FloatArray
 
 _REDUCTION = 8
-# Amplitude of scatter by the primary's line integral p: p^b exp(a p), as Sun & Star-Lack fit it to simulated photons
-# in water (a 0.07 to 0.1, b 1.2), scaled to a ratio of 3 behind 25 cm: what is measured with a field of 30 x 30 cm is
-# 4.5 without an air gap, and a C-arm has one.
+# Amplitude of scatter by the primary's line integral p: p^b exp(a p), the form of Sun & Star-Lack (2010), with values
+# near those they fit to simulated photons in water. The scale is chosen here: a ratio of 3 behind 25 cm. Textbooks give
+# 4.5 for a field of 30 x 30 cm without an air gap, and a C-arm has one.
 _SCATTER_GROWTH = 0.08
 _SCATTER_POWER = 1.2
 _SCATTER_SCALE = 0.25
@@ -27,7 +27,7 @@ def scatter_to_primary(line_integral: FloatArray) -> FloatArray:
     References
     ----------
     Sun & Star-Lack (2010), Phys. Med. Biol. 55, 6695 (the form); Bushberg et al. (2011), The Essential Physics of
-    Medical Imaging, 3rd edition, section 7.12 (ratios without a grid by thickness and field).
+    Medical Imaging, 3rd edition, chapter 7 (ratios without a grid by thickness and field).
     """
     p = np.maximum(line_integral, 0.0)
     return np.asarray(_SCATTER_SCALE * p**_SCATTER_POWER * np.exp(_SCATTER_GROWTH * p))
