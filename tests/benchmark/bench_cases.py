@@ -27,7 +27,7 @@ def write_own_case(folder: Path) -> None:
     write_stl(BAR.mesh, folder / "bar.stl")
     rng = np.random.default_rng(len(folder.name))
     annotations = {}
-    for name, view in case.views.items():
+    for name in case.views:
         grey = rng.integers(100, 200, (SIZE, SIZE), dtype=np.uint8)
         (folder / f"{name}.png").write_bytes(imagecodecs.png_encode(grey))
         annotations[name] = tuple(

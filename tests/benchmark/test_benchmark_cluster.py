@@ -100,12 +100,37 @@ def test_a_running_cluster_takes_the_cases(own: Path, tmp_path: Path) -> None:
     request = make_request(cases=own, methods=[f"{PLACE}:instant"])
     here = run_bench(request, tmp_path / "here")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, host="127.0.0.1", dashboard_address=None, protocol="tcp://"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        protocol="tcp://",
     ) as cluster:
         there = run_bench(request, tmp_path / "there", scheduler=cluster.scheduler_address)
     assert len(there.records) == 5
     assert records_in(tmp_path / "there") == records_in(tmp_path / "here")
     assert here.failed == there.failed == []
+
+
+def test_a_scheduler_that_goes_away_keeps_what_is_done(own: Path, tmp_path: Path) -> None:
+    tasks, forecast = tasks_and_forecast(make_request(cases=own, methods=[f"{PLACE}:instant"]), tmp_path / "run")
+    cluster = distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        protocol="tcp://",
+    )
+    work = on_scheduler(tasks, cluster.scheduler_address, forecast)
+    task, outcomes = next(work)
+    assert [(outcome.method, outcome.record.index) for outcome in outcomes] == [("instant", task.index)]
+    start = perf_counter()
+    cluster.close()
+    with pytest.raises(InputError, match=r"--scheduler: the dask scheduler has stopped answering\. .* --resume"):
+        list(work)
+    assert perf_counter() - start < 20
 
 
 def test_a_worker_with_threads_is_refused(own: Path, tmp_path: Path) -> None:
@@ -116,10 +141,10 @@ def test_a_worker_with_threads_is_refused(own: Path, tmp_path: Path) -> None:
             threads_per_worker=2,
             processes=False,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             protocol="tcp://",
         ) as cluster,
-        pytest.raises(InputError, match="a worker runs 2 cases at a time in one process; .*--nthreads 1") as refused,
+        pytest.raises(InputError, match=r"a worker runs 2 cases at a time in one process; .*--nthreads 1") as refused,
     ):
         list(on_scheduler(tasks, cluster.scheduler_address, forecast))
     assert refused.value.field == "--scheduler"

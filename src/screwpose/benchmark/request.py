@@ -15,7 +15,7 @@ from screwpose.files.values import Count, FileModel, Name, NotNegative
 from screwpose.files.wording import read_model
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import SearchOptions
-from screwpose.solve import SolveOptions
+from screwpose.solve import Engine, Refinement, SolveOptions
 
 RUN_FORMAT = "screwpose-run/1"
 RUN_FILE = "run.json"
@@ -36,6 +36,8 @@ class AskedOptions(FileModel):
     generations: Count = 60
     population: Count = 5
     tolerance: NotNegative = 1e-3
+    engine: Engine | None = None
+    refinement: Refinement | None = None
 
     @classmethod
     def of(cls, options: SolveOptions) -> "AskedOptions":
@@ -50,6 +52,8 @@ class AskedOptions(FileModel):
             faces=self.faces or None,
             combinations=self.combinations,
             registered=self.registered,
+            engine=self.engine,
+            refinement=self.refinement,
             search=SearchOptions(
                 max_shift_mm=self.max_shift_mm,
                 max_tilt_deg=self.max_tilt_deg,
@@ -113,7 +117,11 @@ class BenchRequest(FileModel):
             "the case folders": "none" if self.own_cases is None else ", ".join(self.own_cases.names),
             "the program": f"{self.software.name} {self.software.version}",
         }
-        return told | {_OPTION_NAMES.get(name, name): f"{value:g}" for name, value in self.options.model_dump().items()}
+        options = self.options.model_dump()
+        return told | {
+            _OPTION_NAMES.get(name, name): f"{value:g}" if isinstance(value, int | float) else str(value)
+            for name, value in options.items()
+        }
 
 
 _OPTION_NAMES = {

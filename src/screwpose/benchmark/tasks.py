@@ -97,9 +97,10 @@ def outcomes_of(task: CaseTask, progress: Progress | None = None) -> Iterator[Me
         tell = progress or (lambda _fraction, _what: None)
         tell(0.0, "making the case")
         loaded = _loaded(task, cases, Path(scratch) / "case")
-        if isinstance(loaded, str):
+        if isinstance(loaded, _Unreadable):
             for asked in task.methods:
-                yield MethodOutcome(asked.name, _failed(task, asked.name, loaded, 0.0), None, {})
+                record = _failed(task, asked.name, loaded.problem, 0.0, truth=loaded.truth)
+                yield MethodOutcome(asked.name, record, None, {})
             return
         files = _files_in(Path(scratch) / "case") if task.keep_case else {}
         for number, asked in enumerate(task.methods):
@@ -123,6 +124,14 @@ class _Loaded:
     seconds: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Unreadable:
+    """Why a case cannot be had, and its truth as far as that can be."""
+
+    problem: str
+    truth: TruthFile | None = None
+
+
 def _set_of(task: CaseTask) -> BenchmarkSet:
     """The set, as this process has it."""
     if task.program != __version__:
@@ -141,25 +150,24 @@ def _set_of(task: CaseTask) -> BenchmarkSet:
     return cases
 
 
-def _loaded(task: CaseTask, cases: BenchmarkSet, folder: Path) -> _Loaded | str:
-    """The case in memory; where it cannot be had, the reason."""
+def _loaded(task: CaseTask, cases: BenchmarkSet, folder: Path) -> _Loaded | _Unreadable:
+    truth = None
     try:
         path = cases.make(task.seed, task.index, folder)
     except (CancelledError, InputError, OutputError):
         raise  # data that is not there, a full disk: every further case would end like this one
     except ScrewposeError as error:
-        return f"the case cannot be made: {error}"
+        return _Unreadable(f"the case cannot be made: {error}")
     except Exception as error:  # noqa: BLE001  a bug in one case must not cost the run; the record tells of it
-        return _told(error)
-    start = perf_counter()
+        return _Unreadable(_told(error))
     try:
-        case = read_case(path)
-        seconds = perf_counter() - start
-        return _Loaded(case, read_truth(path.parent / "truth.json"), seconds)
+        truth = read_truth(path.parent / "truth.json")
+        start = perf_counter()
+        return _Loaded(read_case(path), truth, perf_counter() - start)
     except ScrewposeError as error:
-        return str(error)
+        return _Unreadable(str(error), truth)
     except Exception as error:  # noqa: BLE001  as above
-        return _told(error)
+        return _Unreadable(_told(error), truth)
 
 
 def _solved(
@@ -190,12 +198,23 @@ def _solved(
         problem = str(error)
     except Exception as error:  # noqa: BLE001  as above: a user's method may raise anything
         problem = _told(error)
-    return MethodOutcome(asked.name, _failed(task, asked.name, problem, perf_counter() - start, loaded), None, files)
+    # The strata of a case may be what the bug is in.
+    case = None if problem.startswith(UNFORESEEN) else loaded.case
+    record = _failed(task, asked.name, problem, perf_counter() - start, truth=loaded.truth, case=case)
+    return MethodOutcome(asked.name, record, None, files)
 
 
-def _failed(task: CaseTask, method: str, problem: str, seconds: float, loaded: _Loaded | None = None) -> CaseRecord:
+def _failed(
+    task: CaseTask,
+    method: str,
+    problem: str,
+    seconds: float,
+    *,
+    truth: TruthFile | None = None,
+    case: Case | None = None,
+) -> CaseRecord:
     return failed_case(
-        loaded.truth.case if loaded else task.case_id,
+        task.case_id if truth is None else truth.case,
         problem,
         set_name=task.asked.name,
         set_version=task.asked.version,
@@ -203,9 +222,8 @@ def _failed(task: CaseTask, method: str, problem: str, seconds: float, loaded: _
         seed=task.seed,
         index=task.index,
         seconds=seconds,
-        truth=loaded.truth if loaded else None,
-        # The strata of a case may be what the bug is in.
-        case=loaded.case if loaded and not problem.startswith(UNFORESEEN) else None,
+        truth=truth,
+        case=case,
     )
 
 
