@@ -12,7 +12,7 @@ import screwpose.simulation
 from screwpose._types import FloatArray
 from screwpose.geometry.camera import Camera
 from screwpose.implants.model import Mesh
-from screwpose.simulation import CArm, Detector, carm_camera, render, render_views, transmission
+from screwpose.simulation import CArm, Detector, carm_camera, rays, render, render_views, transmission
 from screwpose.simulation.materials import (
     MATERIALS,
     MUSCLE,
@@ -192,6 +192,22 @@ def test_texture_varies_the_density_about_its_mean():
         assert beside > 0.7 > 0.25 > abs(far)
     assert spread[0] == pytest.approx(0.1, rel=0.1)
     assert 0.2 < spread[1] / spread[0] < 0.6
+
+
+def test_coarse_grains_may_be_interpolated(monkeypatch):
+    """Grains of 8 px, read on every third pixel, are those read on every pixel; so is what metal leaves of them."""
+    bodies = [
+        Body(box((900.0, 60.0, 900.0)), MUSCLE, sharp=False, texture=0.1, texture_mm=8.0),
+        Body(box((40.0, 20.0, 40.0)), TITANIUM, layer=Layer.IMPLANT),
+    ]
+    even = transmission(AP, bodies, SIZE, textured=False)
+    mapped = transmission(AP, bodies, SIZE)
+    monkeypatch.setattr(rays, "_MAP_STEP_PX", 1000)  # coarser than any grain: none is mapped
+    marched = transmission(AP, bodies, SIZE)
+    contrast = np.log(marched / even)
+    assert contrast.std() > 0.01
+    assert np.log(mapped / marched).std() < 0.08 * contrast.std()
+    assert (mapped != marched).any()
 
 
 def test_both_views_see_the_same_grains():

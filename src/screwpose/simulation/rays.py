@@ -7,9 +7,10 @@ signed distances in plain NumPy, for one closed body at a time; the two share th
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from screwpose._types import FloatArray, IntArray
 from screwpose.errors import BehindSourceError, MeshError
@@ -21,6 +22,8 @@ from screwpose.simulation.rays_texture import grains, noise_cube
 from screwpose.simulation.volume import CtVolume
 
 _RAYS_AT_ONCE = 1 << 18  # about what a band of rows has; keeps the crossings in the cache
+
+_MAP_STEP_PX = 3  # between the rays along which coarse grains are read
 
 
 class TracedRays(NamedTuple):
@@ -100,21 +103,18 @@ def trace_rays(
     per_mm = np.zeros((len(materials), len(weights)))
     for row, material in zip(per_mm, materials, strict=True):
         row[:] = 0.0 if attenuation is None else attenuation[1][material]
-    grainy = [body for body in ranked if textured and body.texture and not body.sharp]
-    grain_of = np.full(len(ranked), -1, dtype=np.int32)
-    for index, body in enumerate(grainy):
-        grain_of[ranked.index(body)] = index
-    grain_rows, contrast = grains(camera, grainy)
     columns, rows = image_size_wh
     inverse = np.linalg.inv(camera.projection[:, :3])
     transmitted = np.ones((rows, columns))
     lengths = np.zeros((rows, columns, len(materials)) if with_lengths else (0, 0, 0))
+    leaving_sign = float(np.sign(np.linalg.det(camera.projection[:, :3])))
+    textures = _textures(camera, ranked, image_size_wh, leaving_sign, textured)
     unbalanced = rays_kernels.trace(
         rows, columns, supersample, max(1, _RAYS_AT_ONCE // max(columns * supersample**2, 1)),
-        float(np.sign(np.linalg.det(camera.projection[:, :3]))), inverse.T @ inverse,
-        _projected(camera, ranked, False, 1, rows), _projected(camera, ranked, True, supersample, rows),
+        leaving_sign, inverse.T @ inverse,
+        _projected(camera, ranked, False, 1.0, rows), _projected(camera, ranked, True, float(supersample), rows),
         np.array([materials.index(body.material) for body in ranked], dtype=np.int32), per_mm, weights,
-        grain_of, grain_rows, contrast, noise_cube() if len(grainy) else np.zeros((1, 1, 1), dtype=np.float32),
+        *textures,
         np.zeros((0, 0, 0, 2), dtype=np.float32) if volume is None else volume.lengths_per_mm,
         np.zeros((3, 4)) if volume is None else _voxels_along_rays(camera, volume),
         volume_materials, transmitted, lengths,
@@ -128,15 +128,53 @@ def trace_rays(
     return TracedRays(transmitted, tuple(materials), lengths if with_lengths else None)
 
 
-def _projected(
-    camera: Camera, ranked: Sequence[Body], sharp: bool, supersample: int, rows: int
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """The faces of the sharp bodies or of the others, in sub-samples: x, y, inverse depth, faces, ranks, rows."""
+def _textures(
+    camera: Camera, ranked: Sequence[Body], image_size_wh: tuple[int, int], leaving_sign: float, textured: bool
+) -> tuple[tuple[NDArray[Any], FloatArray, FloatArray, NDArray[Any]], NDArray[np.int32], NDArray[np.float32], int]:
+    """The bodies' grains as the kernels want them: the textures, how each is read, the maps and their step.
+
+    To go through the grains along every ray would take longer than all else. Coarse grains, which are smooth over many
+    pixels, are read on every third pixel of every third row instead, and interpolated.
+    """
     from screwpose.simulation import rays_kernels
 
-    sample_from_pixel = np.array(
-        [[supersample, 0, (supersample - 1) / 2], [0, supersample, (supersample - 1) / 2], [0, 0, 1]]
-    )
+    grainy = [rank for rank, body in enumerate(ranked) if textured and body.texture and not body.sharp]
+    grain_of = np.full(len(ranked), -1, dtype=np.int32)
+    grain_of[grainy] = np.arange(len(grainy))
+    rows_of_grains, contrast = grains(camera, [ranked[rank] for rank in grainy])
+    noise: NDArray[Any] = noise_cube() if grainy else np.zeros((1, 1, 1), dtype=np.float32)
+    how = np.full(len(grainy), -1, dtype=np.int32)
+    coarse = [index for index, rank in enumerate(grainy) if _grain_px(camera, ranked[rank]) > 2 * _MAP_STEP_PX]
+    how[coarse] = np.arange(len(coarse))
+    width, height = ((length - 1) // _MAP_STEP_PX + 2 for length in image_size_wh)
+    maps = np.ones((len(coarse), height, width), dtype=np.float32)
+    textures = grain_of, rows_of_grains, contrast, noise
+    if coarse:
+        faces = _projected(camera, ranked, False, 1.0 / _MAP_STEP_PX, height)
+        rays_kernels.map_densities(leaving_sign, _MAP_STEP_PX, faces, textures, how, maps)
+    return textures, how, maps, _MAP_STEP_PX
+
+
+def _grain_px(camera: Camera, body: Body) -> float:
+    """The size of a body's grains in the image, where its vertices are on average."""
+    return body.texture_mm / camera.mm_per_px_at(body.vertices_in_world_mm.mean(axis=0))
+
+
+def _projected(
+    camera: Camera, ranked: Sequence[Body], sharp: bool, per_px: float, rows: int
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
+    """The faces of the sharp bodies or of the others, in samples: x, y, inverse depth, faces, ranks, rows.
+
+    Parameters
+    ----------
+    per_px : samples along each side of a pixel, spread evenly over it. Where they are fewer than the pixels, sample
+        0 is the centre of pixel 0.
+    rows : of pixels; where samples are fewer, of samples.
+    """
+    from screwpose.simulation import rays_kernels
+
+    offset = max(0.5 * (per_px - 1.0), 0.0)
+    sample_from_pixel = np.array([[per_px, 0.0, offset], [0.0, per_px, offset], [0.0, 0.0, 1.0]])
     projection = sample_from_pixel @ camera.projection
     vertices, faces, ranks, first = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], [np.zeros(0)], 0
     for rank, body in enumerate(ranked):
@@ -149,7 +187,7 @@ def _projected(
     X, Y, Z = np.concatenate(vertices).T
     x, y, depth = (row[0] * X + row[1] * Y + row[2] * Z + row[3] for row in projection)
     x, y, inverse_depth = x / depth, y / depth, 1.0 / depth
-    ranges = rays_kernels.row_ranges(y, corners, rows * supersample)
+    ranges = rays_kernels.row_ranges(y, corners, int(rows * max(per_px, 1.0)))
     return x, y, inverse_depth, corners, np.concatenate(ranks).astype(np.int32), ranges
 
 

@@ -27,7 +27,12 @@ Ints: TypeAlias = NDArray[np.signedinteger[Any]]
 # x, y, inverse depth (N,) of the vertices; faces (F, 3), their bodies' ranks (F,) and rows (F, 2).
 Faces: TypeAlias = tuple[Floats, Floats, Floats, Ints, Ints, Ints]
 
+# For each body (bodies,) its texture or -1; where that lies in the noise (T, 3, 4), its relative standard deviation
+# (T,), and the noise: see `rays_texture`.
+Textures: TypeAlias = tuple[Ints, Floats, Floats, Floats]
+
 _GAP = -1  # the rank of no body
+_MARCH, _SKIP = -1, -2
 
 
 def _kernel(function: Kernel) -> Kernel:
@@ -364,10 +369,10 @@ def _set_densities(
     pieces: int,
     piece_depth: Floats,
     piece_rank: Ints,
-    grain_of: Ints,
-    grains: Floats,
-    contrast: Floats,
-    noise: Floats,
+    textures: Textures,
+    how: Ints,
+    maps: Floats,
+    map_step: int,
     px: float,
     py: float,
     density: Floats,
@@ -377,20 +382,67 @@ def _set_densities(
 
     Parameters
     ----------
-    grain_of : (bodies,), each body's row in `grains` (T, 3, 4) and `contrast` (T,), or -1.
+    how : (T,), for each texture its map, or to `_MARCH` along the ray, or to `_SKIP` it.
+    maps : densities on the rays of every `map_step`-th pixel, between which they are bilinear.
     sums : (T, 2), working space.
     """
-    sums[:] = 0.0
+    grain_of, grains, contrast, noise = textures
     for p in range(pieces):
         if piece_rank[p] != _GAP and grain_of[piece_rank[p]] >= 0:
+            sums[grain_of[piece_rank[p]], :] = 0.0
+    for p in range(pieces):
+        if piece_rank[p] != _GAP:
             t = grain_of[piece_rank[p]]
-            sums[t, 0] += _noise_along(noise, grains[t], px, py, piece_depth[p], piece_depth[p + 1])
-            sums[t, 1] += piece_depth[p + 1] - piece_depth[p]
-    for rank in range(len(grain_of)):
-        t = grain_of[rank]
-        if t >= 0:
+            if t >= 0 and how[t] == _MARCH:
+                sums[t, 0] += _noise_along(noise, grains[t], px, py, piece_depth[p], piece_depth[p + 1])
+                sums[t, 1] += piece_depth[p + 1] - piece_depth[p]
+    for p in range(pieces):
+        rank = piece_rank[p]
+        t = grain_of[rank] if rank != _GAP else _GAP
+        if t < 0 or how[t] == _SKIP:
+            continue
+        if how[t] == _MARCH:
             mean = sums[t, 0] / sums[t, 1] if sums[t, 1] > 0.0 else 0.0
             density[rank] = max(1.0 + contrast[t] * mean, 0.0)
+        else:
+            x, y = px / map_step, py / map_step
+            i, j = int(y), int(x)
+            fy, fx = y - i, x - j
+            upper = maps[how[t], i, j] * (1.0 - fx) + maps[how[t], i, j + 1] * fx
+            lower = maps[how[t], i + 1, j] * (1.0 - fx) + maps[how[t], i + 1, j + 1] * fx
+            density[rank] = upper * (1.0 - fy) + lower * fy
+
+
+@_kernel
+def map_densities(
+    leaving_sign: float, map_step: int, faces: Faces, textures: Textures, how: Ints, maps: Floats
+) -> None:
+    """Fill the densities' maps (maps, rows, columns), whose nodes are every `map_step`-th pixel, for `trace`.
+
+    Parameters
+    ----------
+    faces : those of `trace`'s coarse bodies, in nodes.
+    how : as in `trace`. What it maps is marched along here, what it marches is skipped.
+    """
+    rows, columns = maps.shape[1:]
+    grain_of = textures[0]
+    bodies = len(grain_of)
+    winding, active = np.zeros(bodies, dtype=np.int32), np.empty(bodies, dtype=np.int32)
+    density, sums = np.ones(bodies), np.zeros((len(how), 2))
+    here = np.where(how >= 0, _MARCH, _SKIP)
+    place, depth, code = _crossings(faces, leaving_sign, 0, rows, columns)
+    piece_depth, piece_rank = np.empty(_most(place) + 1), np.empty(_most(place) + 1, dtype=np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            begin, end = place[row * columns + column], place[row * columns + column + 1]
+            _sort(depth, code, begin, end)
+            pieces = _resolve(depth, code, begin, end, depth, code, 0, 0, winding, active, piece_depth, piece_rank)
+            px, py = float(column * map_step), float(row * map_step)
+            _set_densities(pieces, piece_depth, piece_rank, textures, here, maps, map_step, px, py, density, sums)
+            for p in range(pieces):
+                t = grain_of[piece_rank[p]] if piece_rank[p] != _GAP else _GAP
+                if t >= 0 and how[t] >= 0:
+                    maps[how[t], row, column] = density[piece_rank[p]]
 
 
 @_kernel
@@ -401,14 +453,16 @@ def _mm_per_depth(metric: Floats, px: float, py: float) -> float:
 
 
 @_kernel
-def _transmitted(lengths: Floats, attenuation: Floats, weights: Floats) -> float:
-    """Beer and Lambert's law over the energies: ``sum_b weights_b exp(-sum_m attenuation_mb lengths_m)``."""
+def _transmitted(lengths: Floats, attenuation: Floats, weights: Floats, integrals: Floats) -> float:
+    """Beer and Lambert's law: ``sum_b weights_b exp(-sum_m attenuation_mb lengths_m)``; `integrals` (B,) is space."""
+    integrals[:] = 0.0
+    for m in range(len(lengths)):
+        if lengths[m] > 0.0:
+            for b in range(len(weights)):
+                integrals[b] += lengths[m] * attenuation[m, b]
     total = 0.0
     for b in range(len(weights)):
-        integral = 0.0
-        for m in range(len(lengths)):
-            integral += lengths[m] * attenuation[m, b]
-        total += weights[b] * np.exp(-integral)
+        total += weights[b] * np.exp(-integrals[b])
     return total
 
 
@@ -425,10 +479,10 @@ def trace(
     material_of: Ints,
     attenuation: Floats,
     weights: Floats,
-    grain_of: Ints,
-    grains: Floats,
-    contrast: Floats,
-    noise: Floats,
+    textures: Textures,
+    how: Ints,
+    maps: Floats,
+    map_step: int,
     volume: Floats,
     volume_step: Floats,
     volume_materials: Ints,
@@ -441,6 +495,7 @@ def trace(
     ----------
     coarse, fine : tuples (x, y, q, faces, ranks, ranges) of the bodies sampled once a pixel, in px, and of the sharp
         ones, in sub-samples.
+    how, maps, map_step : see `_set_densities`.
     volume : (I, J, K, 2), or with no entries where there is none.
     transmitted : (rows, columns), receives the mean over each pixel's rays.
     lengths_out : (rows, columns, materials), receives the mean length of each material, mm; or with no entries.
@@ -452,9 +507,9 @@ def trace(
     bodies, materials = len(material_of), attenuation.shape[0]
     s, wide = supersample, columns * supersample
     winding, active = np.zeros(bodies, dtype=np.int32), np.empty(bodies, dtype=np.int32)
-    density, sums = np.ones(bodies), np.zeros((len(contrast), 2))
+    density, sums = np.ones(bodies), np.zeros((len(how), 2))
     lengths, mean_lengths = np.zeros(materials), np.zeros(materials)
-    reach = np.zeros(2)
+    reach, integrals = np.zeros(2), np.zeros(len(weights))
     with_volume, with_lengths = volume.size > 0, lengths_out.size > 0
     longest = volume.shape[0] + volume.shape[1] + volume.shape[2] if with_volume else 0
     cumulative = np.zeros((longest + 2, 2))
@@ -489,16 +544,16 @@ def trace(
                 if pieces < 0:
                     unbalanced += 1
                     continue
-                if len(contrast):
+                if len(how):
                     _set_densities(
-                        pieces, piece_depth, piece_rank, grain_of, grains, contrast, noise, px, py, density, sums
+                        pieces, piece_depth, piece_rank, textures, how, maps, map_step, px, py, density, sums
                     )
                 if not touched:
                     _add_lengths(
                         pieces, piece_depth, piece_rank, material_of, density, _mm_per_depth(metric, px, py),
                         steps, cumulative, reach, volume_materials, lengths,
                     )  # fmt: skip
-                    transmitted[row, column] = _transmitted(lengths, attenuation, weights)
+                    transmitted[row, column] = _transmitted(lengths, attenuation, weights, integrals)
                     if with_lengths:
                         lengths_out[row, column, :] = lengths
                     continue
@@ -520,7 +575,7 @@ def trace(
                             pieces, piece_depth, piece_rank, material_of, density, _mm_per_depth(metric, sub_x, sub_y),
                             steps, cumulative, reach, volume_materials, lengths,
                         )  # fmt: skip
-                        total += _transmitted(lengths, attenuation, weights)
+                        total += _transmitted(lengths, attenuation, weights, integrals)
                         if with_lengths:
                             mean_lengths += lengths
                 transmitted[row, column] = total / (s * s)
