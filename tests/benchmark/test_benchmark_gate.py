@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from screwpose.benchmark.gate import check_against, read_baseline
+from screwpose.benchmark.gate import baseline_of, check_against, read_baseline
 from screwpose.benchmark.record import CaseRecord
 from screwpose.benchmark.summary import measures_file
 from screwpose.errors import CaseError
@@ -69,3 +69,10 @@ def test_a_baseline_is_a_measures_file(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace('"machine"', '"machines"'))
     with pytest.raises(CaseError, match=r"measures\.json: machines: unknown key.*machine"):
         read_baseline(path)
+
+
+def test_a_trimmed_baseline_judges_alike() -> None:
+    small = baseline_of(BASELINE)
+    assert len(small.model_dump_json()) < 0.5 * len(BASELINE.model_dump_json())
+    for records in (run(), run(wrong=5), run(0.4), run(wrong=20)):
+        assert check_against(small, records) == check_against(BASELINE, records)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from screwpose.benchmark import get_set, pairing_is_right, pose_error
-from screwpose.benchmark.scoring import compare, quantiles, screw_errors
+from screwpose.benchmark.scoring import compare, screw_errors
 from screwpose.benchmark.sets import case_seed, landmarks_of_no_screw
 from screwpose.errors import InputError
 from screwpose.files.schema import PairingFile, ResultFile, ScrewResultFile, Software, TruthFile, TruthScrew, as_pose
@@ -48,11 +48,6 @@ def test_a_tilt_about_the_tip_by_hand() -> None:
     np.testing.assert_allclose([error.tip_mm, error.axis_deg, error.roll_deg], [0, 2.0, 0], atol=1e-6)
     np.testing.assert_allclose(error.center_mm, 2 * 20 * np.sin(np.radians(1.0)))
     np.testing.assert_allclose(error.head_mm, 2 * 50 * np.sin(np.radians(1.0)))
-
-
-def test_quantiles_by_hand() -> None:
-    values = quantiles([float(v) for v in range(101)])
-    assert values == {"median": 50.0, "p90": 90.0, "p95": 95.0, "p99": 99.0, "max": 100.0}
 
 
 def answer(pairs: list[tuple[str, str]], status: str = "confident") -> ResultFile:
@@ -119,7 +114,7 @@ def test_cases_of_sets_and_seeds_are_their_own() -> None:
 
 def test_an_unknown_set_is_refused() -> None:
     with pytest.raises(
-        InputError, match="no benchmark set 'papers'; expected one of clean, clutter, .*real, smoke, tilted"
+        InputError, match=r"no benchmark set 'papers'; expected one of clean, clutter, .*real, smoke, tilted"
     ):
         get_set("papers")
 

@@ -27,6 +27,37 @@ def read_baseline(path: str | Path) -> MeasuresFile:
     return read_model(path, MeasuresFile, MEASURES_FORMAT)
 
 
+def baseline_of(measures: MeasuresFile) -> MeasuresFile:
+    """What the gate looks at, without the rest: small enough to be kept beside the code."""
+    return measures.model_copy(
+        update={
+            "sets": {
+                name: some.model_copy(update={"methods": {key: _kept(one) for key, one in some.methods.items()}})
+                for name, some in measures.sets.items()
+            }
+        }
+    )
+
+
+def _kept(one: MethodMeasures) -> MethodMeasures:
+    return MethodMeasures(
+        cases=one.cases,
+        screws=one.screws,
+        failed=one.failed,
+        rates={key: one.rates[key] for key in (*_GOOD_RATES, *_BAD_RATES) if key in one.rates},
+        errors={key: one.errors[key] for key in _MEDIANS if key in one.errors},
+        start={},
+        relations={},
+        parts={},
+        bias={},
+        stages={},
+        coverage={},
+        steps={},
+        strata={},
+        offsets=(),
+    )
+
+
 def check_against(baseline: MeasuresFile, records: Sequence[CaseRecord]) -> list[str]:
     """What is worse than the baseline, one sentence each; empty where nothing is.
 

@@ -1,6 +1,6 @@
 """How far is an answer from the truth?"""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,15 +116,3 @@ def _row(screw: ScrewResultFile, error: PoseError | None) -> ScrewComparison:
         axis_deg=error.axis_deg,
         roll_deg=error.roll_deg,
     )
-
-
-def quantiles(values: Sequence[float]) -> dict[str, float]:
-    """Median, p90, p95, p99 and the largest, by linear interpolation, of a non-empty list."""
-    median, p90, p95, p99 = np.quantile(np.asarray(values, dtype=np.float64), [0.5, 0.9, 0.95, 0.99])
-    return {
-        "median": float(median),
-        "p90": float(p90),
-        "p95": float(p95),
-        "p99": float(p99),
-        "max": float(np.max(values)),
-    }
