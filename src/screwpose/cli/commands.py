@@ -184,7 +184,7 @@ def simulate(
         "focal_error": focal_error,
         "rotation_error": rotation_error,
         "translation_error": translation_error,
-        "cad_length": cad_length_error,
+        "cad_length_error": cad_length_error,
         "motion": motion,
         "size": size,
     }

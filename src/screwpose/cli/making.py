@@ -5,7 +5,10 @@ from typing import Any
 
 from screwpose.errors import InputError
 
-_OPTION = {"cad_length": "--cad-length-error"}
+
+def _word(dial: str) -> str:
+    """The option as it is typed."""
+    return f"--{dial.replace('_', '-')}"
 
 
 def make_case_of_set(out: Path, name: str, seed: int, index: int, dials: dict[str, Any]) -> Path:
@@ -19,7 +22,7 @@ def make_case_of_set(out: Path, name: str, seed: int, index: int, dials: dict[st
     from screwpose.benchmark.sets import get_set
 
     cases = get_set(name)
-    turned = [_OPTION.get(dial, f"--{dial.replace('_', '-')}") for dial, value in dials.items() if value is not None]
+    turned = [_word(dial) for dial, value in dials.items() if value is not None]
     if turned:
         raise InputError(
             f"the set {name!r} decides what its cases are",
@@ -50,7 +53,14 @@ def make_scene(out: Path, seed: int, dials: dict[str, Any]) -> Path:
 
     turned = {name: value for name, value in dials.items() if value is not None}
     errors = {_DIALS[name]: value for name, value in turned.items() if name in _DIALS}
-    return write_case(simulate_scene(_scene_options(turned), Imperfections(**errors), seed), out)
+    try:
+        scene = simulate_scene(_scene_options(turned), Imperfections(**errors), seed)
+    except InputError as error:
+        dial = next((name for name, field in {**_DIALS, **_RANGES}.items() if field == error.field), None)
+        if dial is None:
+            raise
+        raise InputError(error.problem, field=_word(dial), expected=error.expected, remedy=error.remedy) from error
+    return write_case(scene, out)
 
 
 _DIALS = {
@@ -58,8 +68,15 @@ _DIALS = {
     "focal_error": "focal_error_percent",
     "rotation_error": "rotation_error_deg",
     "translation_error": "translation_error_mm",
-    "cad_length": "cad_length_mm",
+    "cad_length_error": "cad_length_mm",
     "motion": "motion_mm",
+}
+_RANGES = {
+    "angle": "angle_deg",
+    "overlap": "overlap_lat",
+    "tilt": "tower_tilt_deg",
+    "clutter": "clutter",
+    "missing": "missing",
 }
 
 
