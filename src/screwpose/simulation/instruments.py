@@ -1,157 +1,233 @@
-"""Metal that is no screw: what lies about in a wound while X-rays are taken. Closed meshes, mm, each in its own frame.
+"""Instruments about the screws, where a surgeon leaves them: they occlude in part, touch no screw, and hide none."""
 
-Wires, needles, blades, tubes and hooks have their working end at the origin and reach along +z. Rods are straight along
-z through the origin, bent in the plane of y and z. Clamps lie in the plane of x and z, their tips at the origin, their
-rings towards +z.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from screwpose._types import FloatArray
-from screwpose.implants.model import Mesh
+from screwpose.geometry.rigid import exp_rotation, rotation_between, transform
+from screwpose.implants.model import Implant, Mesh
+from screwpose.simulation import instruments_meshes as instruments
 from screwpose.simulation import solids
+from screwpose.simulation.bodies import Body, Layer
+from screwpose.simulation.materials import ALUMINIUM, COBALT_CHROME, STEEL, TITANIUM, Material
+from screwpose.simulation.patient import Level
 
 if TYPE_CHECKING:
-    from manifold3d import Manifold
+    from manifold3d import CrossSection, Manifold
 
-_CORNERS = 24
-
-
-def k_wire(length_mm: float = 250.0, diameter_mm: float = 1.6) -> Mesh:
-    """A Kirschner wire with a trocar tip."""
-    radius = 0.5 * diameter_mm
-    return solids.mesh(_cone(2.5 * diameter_mm, 0.05 * radius, radius) + _pipe(2.5 * diameter_mm, length_mm, radius))
+_ATTEMPTS = 12
+_CLEARANCE_MM = 1.0
+_LONGEST_MM = 220.0
+_PEDICLES_MM = np.array([[15.0, 21.0, 5.0], [-15.0, 21.0, 5.0]])
+_MOST_HIDDEN = 0.4  # of a screw's shadow, by all instruments together
 
 
-def rod(length_mm: float = 80.0, diameter_mm: float = 5.5, bend_radius_mm: float | None = None) -> Mesh:
-    """A rod for pedicle screws, straight or bent to a circle of a radius, its hollow side towards +y."""
-    steps = np.linspace(-0.5, 0.5, 33) * (length_mm - 0.5 * diameter_mm)  # the rounded ends take the rest
-    if bend_radius_mm is None:
-        path = np.column_stack([0.0 * steps, 0.0 * steps, steps])
-    else:
-        angle = steps / bend_radius_mm
-        path = bend_radius_mm * np.column_stack([0.0 * angle, 1.0 - np.cos(angle), np.sin(angle)])
-    # A polygon of the circle's area, so that the rod has its weight.
-    radius = 0.5 * diameter_mm / np.sqrt(np.sinc(2.0 / _CORNERS))
-    tangent = np.gradient(path, axis=0)
-    up = np.cross(tangent, [1.0, 0.0, 0.0])
-    return solids.swept(path, np.full((len(path), 2), radius), _CORNERS, up)
+@dataclass(frozen=True, eq=False)
+class KeepOut:
+    """A cylinder with round ends in the world that nothing may touch: a screw with its tower."""
+
+    start_mm: FloatArray
+    end_mm: FloatArray
+    radius_mm: float
 
 
-def jamshidi_needle(length_mm: float = 130.0, diameter_mm: float = 4.0, wall_mm: float = 0.4) -> Mesh:
-    """A bone access needle: a hollow shaft with a bevelled stylet in it, a hub, and the metal of its handle."""
-    radius = 0.5 * diameter_mm
-    tip = 2.0 * diameter_mm
-    shaft = _pipe(tip, length_mm, radius) - _pipe(tip - 1.0, length_mm + 1.0, radius - wall_mm)
-    stylet = _cone(tip, 0.1 * radius, radius) + _pipe(tip - 0.01, length_mm, 0.6 * (radius - wall_mm))
-    hub = _pipe(length_mm - 12.0, length_mm, radius + 2.5)
-    bar = _between((-28.0, 0.0, length_mm), (28.0, 0.0, length_mm), 3.0)
-    return solids.mesh(shaft + stylet + hub + bar)
+def keep_out_of(implant: Implant, world_from_cad: FloatArray) -> KeepOut:
+    """The smallest such cylinder about an implant's axis: its whole length, and its largest radius.
+
+    Parameters
+    ----------
+    world_from_cad : (4, 4).
+    """
+    offsets = implant.mesh.vertices_mm - implant.tip_mm
+    along = offsets @ implant.axis
+    radius = float(np.linalg.norm(offsets - np.outer(along, implant.axis), axis=1).max())
+    ends = implant.tip_mm + np.outer([float(along.min()), float(along.max())], implant.axis)
+    start, end = transform(world_from_cad, ends)
+    return KeepOut(start, end, radius)
 
 
-def retractor_blade(
-    length_mm: float = 80.0, width_mm: float = 22.0, thickness_mm: float = 1.5, handle_mm: float = 90.0
-) -> Mesh:
-    """A blade, hollow to one side (+y), with a lip at its end and a handle at right angles above."""
-    half, curve = 0.5 * width_mm, 1.6 * width_mm
-    x = np.linspace(-half, half, 13)
-    sag = curve - np.sqrt(curve**2 - x**2)
-    outline = np.concatenate([np.column_stack([x, -sag]), np.column_stack([x, thickness_mm - sag])[::-1]])
-    blade = _extruded(outline, length_mm)
-    lip = _extruded(outline, thickness_mm).translate((0.0, -4.0, 0.0)) + _box(
-        (half, 2.5, 0.5 * thickness_mm)
-    ).translate((0.0, -2.0, 0.5 * thickness_mm))
-    bar = _box((6.0, 0.5 * handle_mm, 1.2)).translate((0.0, 0.5 * handle_mm - 0.5 * thickness_mm, length_mm - 1.2))
-    return solids.mesh(blade + lip + bar)
+def random_clutter(
+    rng: np.random.Generator,
+    keep_out: Sequence[KeepOut | Mesh | tuple[ArrayLike, ArrayLike, float]],
+    count: int,
+    *,
+    levels: Sequence[Level] | None = None,
+    back_mm: float = 100.0,
+) -> list[Body]:
+    """Instruments beside screws, in other pedicles, on the skin and at the wound's edges.
+
+    None comes nearer to a keep-out than a millimetre, or to another instrument, and all together they hide no more than
+    four tenths of any keep-out from the front or from the side (as parallel rays see it). What finds no place is left
+    out, so that fewer than `count` may come back.
+
+    Parameters
+    ----------
+    keep_out : the screws: `keep_out_of`; or meshes in the world, whose convex hulls count; or a screw's tip in the
+        world (mm), its direction out of the body, and a radius (mm), for a screw and tower of up to 220 mm.
+    levels : those in view, at which instruments are put. By default levels are made up about the keep-outs, in a
+        patient of LPS axes.
+    back_mm : from the middles of the vertebral bodies to the skin of the back.
+    """
+    bounds = [_long_keep_out(*item) if isinstance(item, tuple) else item for item in keep_out]
+    if levels is None:
+        levels = [_level_about(item) for item in bounds] or [Level(np.eye(4), _PEDICLES_MM, 17.0, 28.0)]
+    stays_free = [_solid_of(item) for item in bounds]
+    shadows = [[_shadow(item, side) for side in (False, True)] for item in stays_free]
+    placed: list[tuple[Body, Manifold]] = []
+    for _ in range(count):
+        for _ in range(_ATTEMPTS):
+            kind = _KINDS[int(rng.choice(len(_KINDS), p=_SHARES))]
+            mesh, material, pose = kind(rng, levels[int(rng.integers(len(levels)))], back_mm)
+            body = Body(mesh, material, pose, layer=Layer.INSTRUMENT)
+            made = solids.solid(Mesh(body.vertices_in_world_mm, mesh.faces))
+            others = [*stays_free, *(other for _, other in placed)]
+            if any(made.min_gap(other, 2.0 * _CLEARANCE_MM) < _CLEARANCE_MM for other in others):
+                continue
+            if _hidden(shadows, [*(other for _, other in placed), made]) > _MOST_HIDDEN:
+                continue
+            placed.append((body, made))
+            break
+    return [body for body, _ in placed]
 
 
-def tubular_retractor(length_mm: float = 60.0, diameter_mm: float = 22.0, wall_mm: float = 0.8) -> Mesh:
-    """A tube for minimally invasive approaches, with a flange and an arm for its holder."""
-    radius = 0.5 * diameter_mm
-    tube = _pipe(0.0, length_mm, radius) + _pipe(length_mm - 2.0, length_mm, radius + 4.0)
-    arm = _box((4.0, 30.0, 1.5)).translate((0.0, radius + 30.0, length_mm - 1.5))
-    return solids.mesh(tube + arm - _pipe(-1.0, length_mm + 1.0, radius - wall_mm))
+def _long_keep_out(tip_mm: ArrayLike, direction: ArrayLike, radius_mm: float) -> KeepOut:
+    tip, along = np.asarray(tip_mm, dtype=np.float64), np.asarray(direction, dtype=np.float64)
+    return KeepOut(tip, tip + _LONGEST_MM * along / np.linalg.norm(along), radius_mm)
 
 
-def haemostat(length_mm: float = 140.0, opening_rad: float = 0.12) -> Mesh:
-    """A clamp with straight jaws, a box lock at a third of its length, and two rings."""
-    return solids.mesh(_scissor_like(length_mm, opening_rad, jaw=((0.0, 0.0), (0.0, 0.5)), thickness=2.6))
+def _level_about(item: KeepOut | Mesh) -> Level:
+    """A level that such a screw may stand in, the axes the world's: its tip, in front, is near the middle."""
+    frame = np.eye(4)
+    tip = item.start_mm if isinstance(item, KeepOut) else item.vertices_mm[np.argmin(item.vertices_mm[:, 1])]
+    back = item.end_mm if isinstance(item, KeepOut) else item.vertices_mm[np.argmax(item.vertices_mm[:, 1])]
+    # Screws converge, so their tips are near the middle plane.
+    frame[:3, 3] = tip + [-8.0 * np.sign(back[0] - tip[0]), 5.0, -5.0]
+    return Level(frame, _PEDICLES_MM, 17.0, 28.0)
 
 
-def towel_clamp(length_mm: float = 110.0, opening_rad: float = 0.2) -> Mesh:
-    """A clamp whose jaws bow outwards and meet in points."""
-    return solids.mesh(
-        _scissor_like(length_mm, opening_rad, jaw=((0.0, 0.0), (0.09, 0.35), (0.10, 0.75)), thickness=2.2)
+def _solid_of(item: KeepOut | Mesh) -> "Manifold":
+    if isinstance(item, Mesh):
+        import manifold3d
+
+        return manifold3d.Manifold.hull_points(item.vertices_mm)
+    # A polygonal sphere is inside the round one: a little larger.
+    radius = 1.02 * item.radius_mm
+    return solids.blob((item.start_mm, [radius] * 3), (item.end_mm, [radius] * 3), segments=24)
+
+
+def _shadow(made: "Manifold", from_side: bool) -> "CrossSection":
+    """What a solid covers, seen from the front or from the side."""
+    turned = made.rotate((0.0, 90.0, 0.0)) if from_side else made.rotate((90.0, 0.0, 0.0))
+    return turned.project()
+
+
+def _hidden(shadows: Sequence[Sequence["CrossSection"]], instruments_in_world: Sequence["Manifold"]) -> float:
+    """The largest share of any keep-out that instruments cover in either view."""
+    most = 0.0
+    for side in (False, True):
+        covers = None
+        for made in instruments_in_world:
+            shadow = _shadow(made, side)
+            covers = shadow if covers is None else covers + shadow
+        for of_item in shadows:
+            region = of_item[int(side)]
+            most = max(most, float((region ^ covers).area()) / float(region.area()))
+    return most
+
+
+_Placed = tuple[Mesh, Material, FloatArray]
+
+
+def _pose(level: Level, point_mm: ArrayLike, reach: ArrayLike, roll_rad: float) -> FloatArray:
+    """World_from_instrument (4, 4): its origin at a point of a level's frame, its +z along `reach` there."""
+    direction = np.asarray(reach, dtype=np.float64) / np.linalg.norm(reach)
+    own = np.eye(4)
+    own[:3, :3] = rotation_between(np.array([0.0, 0.0, 1.0]), direction) @ exp_rotation(np.array([0.0, 0.0, roll_rad]))
+    own[:3, 3] = np.asarray(point_mm)
+    return np.asarray(level.world_from_level @ own)
+
+
+def _either(rng: np.random.Generator, first: Material, second: Material) -> Material:
+    return first if rng.random() < 0.5 else second
+
+
+def _along_pedicle(
+    rng: np.random.Generator, level: Level, depth_mm: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """A tip some mm in front of a pedicle's middle, and the direction back out, converging as screws do."""
+    side = int(rng.integers(2))
+    convergence, tilt = np.radians(rng.uniform(5.0, 25.0)), np.radians(rng.normal(0.0, 6.0))
+    out = np.array([(1.0, -1.0)[side] * np.sin(convergence), np.cos(convergence) * np.cos(tilt), np.sin(tilt)])
+    return level.pedicles_mm[side] - rng.uniform(*depth_mm) * out, out
+
+
+def _wire_in_pedicle(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    tip, out = _along_pedicle(rng, level, (8.0, 28.0))
+    return instruments.k_wire(back_mm + rng.uniform(60.0, 160.0)), STEEL, _pose(level, tip, out, 0.0)
+
+
+def _needle_in_pedicle(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    tip, out = _along_pedicle(rng, level, (0.0, 15.0))
+    made = instruments.jamshidi_needle(back_mm + rng.uniform(15.0, 45.0), rng.uniform(3.2, 4.2))
+    return made, STEEL, _pose(level, tip, out, rng.uniform(0.0, np.pi))
+
+
+def _blade_beside(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    """On the lamina or beside it, leaning outwards, its hollow side to the middle."""
+    side = rng.choice([-1.0, 1.0])
+    tip = [side * rng.uniform(22.0, 48.0), level.body_half_depth_mm + rng.uniform(22.0, 40.0), rng.uniform(-25.0, 25.0)]
+    made = instruments.retractor_blade(
+        max(back_mm - tip[1] + rng.uniform(5.0, 20.0), 35.0), rng.uniform(12.0, 24.0), rng.uniform(1.0, 1.8)
     )
+    lean = [side * np.tan(np.radians(rng.uniform(2.0, 25.0))), 1.0, np.tan(np.radians(rng.normal(0.0, 8.0)))]
+    return made, _either(rng, STEEL, ALUMINIUM), _pose(level, tip, lean, side * -0.5 * np.pi + rng.normal(0.0, 0.25))
 
 
-def wound_hook(length_mm: float = 120.0, diameter_mm: float = 3.5, hook_mm: float = 12.0) -> Mesh:
-    """A hook that holds a wound open: a shaft whose end bends back on itself."""
-    angle = np.linspace(-0.6 * np.pi, 0.0, 14)
-    bend = hook_mm * np.column_stack([1.0 - np.cos(angle), 0.0 * angle, 1.0 + np.sin(angle)])
-    path = np.concatenate([bend, [[0.0, 0.0, 0.5 * (hook_mm + length_mm)], [0.0, 0.0, length_mm]]])
-    radii = 0.5 * diameter_mm * np.minimum(np.linspace(0.4, 3.0, len(path)), 1.0)
-    return solids.swept(path, np.column_stack([radii, radii]), 16, (0.0, 1.0, 0.0))
+def _tube_beside(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    side = rng.choice([-1.0, 1.0])
+    tip = [side * rng.uniform(15.0, 45.0), level.body_half_depth_mm + rng.uniform(28.0, 38.0), rng.uniform(-15.0, 15.0)]
+    made = instruments.tubular_retractor(max(back_mm - tip[1] + rng.uniform(4.0, 15.0), 30.0), rng.uniform(16.0, 26.0))
+    lean = [side * np.tan(np.radians(rng.uniform(0.0, 20.0))), 1.0, np.tan(np.radians(rng.normal(0.0, 8.0)))]
+    return made, _either(rng, STEEL, ALUMINIUM), _pose(level, tip, lean, rng.uniform(0.0, 2.0 * np.pi))
 
 
-def _scissor_like(
-    length: float, opening_rad: float, jaw: Sequence[tuple[float, float]], thickness: float
-) -> "Manifold":
-    """Two arms that cross; `jaw` is one jaw's course as fractions of its length, (out, along), from tip to lock."""
-    import manifold3d
-
-    lock = 0.33 * length
-    ring_radius = 11.0
-    arms = []
-    for side in (1.0, -1.0):
-        swing = 0.5 * side * opening_rad
-        course = [(side * out * lock, along * lock) for out, along in jaw] + [(0.0, lock)]
-        course += [(-side * 6.0, lock + 0.35 * (length - lock)), (-side * 13.0, length - 2.0 * ring_radius)]
-        # About the lock.
-        turned = [
-            (np.cos(swing) * x + np.sin(swing) * (z - lock), 0.0, lock - np.sin(swing) * x + np.cos(swing) * (z - lock))
-            for x, z in course
-        ]
-        radii = np.interp(np.linspace(0.0, 1.0, len(turned)), [0.0, 0.3, 1.0], [0.45, 1.0, 0.9]) * thickness
-        parts = [
-            solids.blob((start, [first] * 3), (end, [second] * 3), segments=16)
-            for start, end, first, second in zip(turned, turned[1:], radii, radii[1:], strict=False)
-        ]
-        ring = manifold3d.CrossSection.circle(0.8 * thickness, 12).translate((ring_radius, 0.0)).revolve(28)
-        end = turned[-1]
-        parts.append(ring.rotate((90.0, 0.0, 0.0)).translate((end[0], 0.0, end[2] + ring_radius)))
-        arms.append(solids.union(parts))
-    lock_box = _box((4.5, 3.2, 6.0)).translate((0.0, 0.0, lock))
-    return solids.union([*arms, lock_box])
+def _rod_beside(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    """In the wound beside the spine, or lying on the skin."""
+    deep = rng.random() < 0.6
+    y = level.body_half_depth_mm + rng.uniform(30.0, 45.0) if deep else back_mm + rng.uniform(3.0, 15.0)
+    at = [rng.choice([-1.0, 1.0]) * rng.uniform(12.0, 50.0), y, rng.uniform(-30.0, 30.0)]
+    bend = None if rng.random() < 0.5 else rng.uniform(100.0, 250.0)
+    made = instruments.rod(rng.uniform(40.0, 130.0), 5.5, bend)
+    along = [np.tan(np.radians(rng.normal(0.0, 8.0))), np.tan(np.radians(rng.normal(0.0, 6.0))), 1.0]
+    return made, _either(rng, TITANIUM, COBALT_CHROME), _pose(level, at, along, rng.normal(0.0, 0.3))
 
 
-def _pipe(start_mm: float, end_mm: float, radius_mm: float) -> "Manifold":
-    """A solid cylinder along z."""
-    import manifold3d
-
-    return manifold3d.Manifold.cylinder(end_mm - start_mm, radius_mm, radius_mm, _CORNERS).translate((0, 0, start_mm))
-
-
-def _cone(height_mm: float, low_radius_mm: float, high_radius_mm: float) -> "Manifold":
-    import manifold3d
-
-    return manifold3d.Manifold.cylinder(height_mm, low_radius_mm, high_radius_mm, _CORNERS)
-
-
-def _between(start: Sequence[float], end: Sequence[float], radius: float) -> "Manifold":
-    """A bar with round ends."""
-    return solids.blob((start, [radius] * 3), (end, [radius] * 3), segments=16)
+def _clamp_on_skin(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    side = rng.choice([-1.0, 1.0])
+    made = (
+        instruments.haemostat(rng.uniform(120.0, 160.0), rng.uniform(0.05, 0.25))
+        if rng.random() < 0.5
+        else instruments.towel_clamp(rng.uniform(90.0, 130.0), rng.uniform(0.08, 0.3))
+    )
+    at = [side * rng.uniform(35.0, 75.0), back_mm + rng.uniform(4.0, 10.0), rng.uniform(-60.0, 60.0)]
+    # Lying: its plane is the skin's, its rings away from the wound.
+    heading = rng.uniform(-0.9, 0.9)
+    return made, STEEL, _pose(level, at, [side * np.cos(heading), 0.15, np.sin(heading)], rng.normal(0.0, 0.15))
 
 
-def _box(halves: Sequence[float]) -> "Manifold":
-    return solids.solid(solids.box(halves))
+def _hook_at_wound(rng: np.random.Generator, level: Level, back_mm: float) -> _Placed:
+    side = rng.choice([-1.0, 1.0])
+    at = [side * rng.uniform(25.0, 45.0), back_mm - rng.uniform(10.0, 25.0), rng.uniform(-40.0, 40.0)]
+    made = instruments.wound_hook(rng.uniform(90.0, 150.0), rng.uniform(2.5, 4.5), rng.uniform(8.0, 14.0))
+    return made, STEEL, _pose(level, at, [side, rng.uniform(0.4, 1.2), rng.normal(0.0, 0.3)], rng.normal(0.0, 0.4))
 
 
-def _extruded(outline_mm: FloatArray, height_mm: float) -> "Manifold":
-    """A prism over an outline (N, 2), counter-clockwise."""
-    import manifold3d
-
-    return manifold3d.CrossSection([outline_mm]).extrude(height_mm)
+_Kind = Callable[[np.random.Generator, Level, float], _Placed]
+_KINDS: tuple[_Kind, ...] = (
+    _wire_in_pedicle, _needle_in_pedicle, _blade_beside, _tube_beside, _rod_beside, _clamp_on_skin, _hook_at_wound,
+)  # fmt: skip
+_SHARES = (0.2, 0.1, 0.22, 0.06, 0.2, 0.14, 0.08)

@@ -9,7 +9,7 @@ from screwpose._types import FloatArray
 from screwpose.geometry.rigid import rotation_between
 from screwpose.implants.model import Implant
 from screwpose.simulation.bodies import Body, Layer
-from screwpose.simulation.instruments import k_wire
+from screwpose.simulation.instruments_meshes import k_wire
 from screwpose.simulation.materials import STEEL
 
 _BEYOND_MM = 40.0  # how far it sticks out above the tower
