@@ -2,11 +2,9 @@
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -14,8 +12,6 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from screwpose import __version__
-from screwpose.benchmark import study
-from screwpose.benchmark.sets import get_set
 from screwpose.cli import app, terminal
 from screwpose.errors import CancelledError, OutputError
 from tests.cli import bad_inputs as bad
@@ -305,27 +301,6 @@ def test_simulate_makes_a_case_that_has_nothing_wrong(tmp_path: Path, monkeypatc
     assert result.exit_code == 0
     assert json.loads(result.stdout) == {"case": "made/case.json", "truth": "made/truth.json"}
     assert program("check", "made", *SIGMA).stdout == "made: nothing wrong was found\n"
-
-
-def test_bench_measures_and_replaces_its_earlier_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, good_case: Path
-) -> None:
-    """One case of the paper's set, with the small case in the place of the full-size one."""
-    monkeypatch.chdir(tmp_path)
-    made = get_set("paper")
-
-    def make(_seed: int, _index: int, folder: Path) -> Path:
-        shutil.copytree(good_case, folder, dirs_exist_ok=True)
-        return folder / "case.json"
-
-    monkeypatch.setattr(study, "get_set", lambda _name: replace(made, make=make))
-    Path("run/cases").mkdir(parents=True)  # of a run that was stopped
-    result = program("bench", "-o", "run", "--set", "paper", "--count", "1", "--json", *QUICK)
-    assert result.exit_code == 0, result.output
-    summary = json.loads(result.stdout)
-    assert summary == json.loads(Path("run/summary.json").read_text())
-    assert summary["sets"]["paper"]["methods"]["paper"]["cases"] == 1
-    assert {"cases", "results", "summary.json", "tables.md"} <= set(names_in(Path("run")))
 
 
 def test_model_inspect_proposes_landmarks(case: CaseFolder) -> None:
