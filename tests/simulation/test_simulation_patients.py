@@ -104,7 +104,6 @@ def test_a_made_vertebra_is_found_where_it_was_made(index, lean_deg):
 
 
 def test_what_is_no_vertebra_is_refused():
-    box = solids.box((20, 20, 12))
     with pytest.raises(MeshError, match="one sees 0 mm2 through the canal of this vertebra; expected a whole vertebra"):
         find_levels(
             [Mesh(solids.box((20, 20, 12)).vertices_mm + [0, 0, 30 * k], solids.box((1, 1, 1)).faces) for k in range(3)]

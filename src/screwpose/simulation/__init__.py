@@ -13,8 +13,11 @@ if TYPE_CHECKING:
     from screwpose.simulation.detector import Detector
     from screwpose.simulation.distortion import distorted_px, undistorted_px
     from screwpose.simulation.imperfections import Imperfections
+    from screwpose.simulation.instruments import random_clutter
     from screwpose.simulation.materials import MATERIALS, EnergyBins, Material, energy_bins
+    from screwpose.simulation.needles import needle_along
     from screwpose.simulation.pathlength import path_length_mm
+    from screwpose.simulation.patient import Level, Patient, ct_patient, mesh_spine_patient, parametric_patient
     from screwpose.simulation.scenes import (
         NeedleAcquisition,
         ScenePlan,
@@ -39,18 +42,25 @@ __all__ = [
     "EnergyBins",
     "Imperfections",
     "Layer",
+    "Level",
     "Material",
     "NeedleAcquisition",
+    "Patient",
     "SceneOptions",
     "ScenePlan",
     "SimulatedCase",
     "SimulatedView",
     "SimulatedXray",
     "carm_camera",
+    "ct_patient",
     "distorted_px",
     "energy_bins",
+    "mesh_spine_patient",
+    "needle_along",
+    "parametric_patient",
     "path_length_mm",
     "plan_scene",
+    "random_clutter",
     "read_ct",
     "render",
     "render_views",
@@ -63,7 +73,6 @@ __all__ = [
 ]
 
 _MODULE_OF = {
-    "MATERIALS": "materials",
     "Body": "xray",
     "CArm": "carm",
     "CtVolume": "volume",
@@ -71,18 +80,26 @@ _MODULE_OF = {
     "EnergyBins": "materials",
     "Imperfections": "imperfections",
     "Layer": "xray",
+    "Level": "patient",
+    "MATERIALS": "materials",
     "Material": "materials",
     "NeedleAcquisition": "scenes",
+    "Patient": "patient",
     "SceneOptions": "scenes_options",
     "ScenePlan": "scenes",
     "SimulatedCase": "scenes",
     "SimulatedView": "scenes",
     "SimulatedXray": "xray",
     "carm_camera": "carm",
+    "ct_patient": "patient",
     "distorted_px": "distortion",
     "energy_bins": "materials",
+    "mesh_spine_patient": "patient",
+    "needle_along": "needles",
+    "parametric_patient": "patient",
     "path_length_mm": "pathlength",
     "plan_scene": "scenes",
+    "random_clutter": "instruments",
     "read_ct": "volume",
     "render": "xray",
     "render_views": "xray",
