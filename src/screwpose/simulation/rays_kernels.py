@@ -303,20 +303,30 @@ def _march(volume: Floats, world_step: Floats, px: float, py: float, cumulative:
         return 0
     step = (reach[1] - reach[0]) / steps
     cumulative[0, 0], cumulative[0, 1] = 0.0, 0.0
+    flat = volume.ravel()
+    along_j = 2 * volume.shape[2]
+    along_i = along_j * volume.shape[1]
+    most_i, most_j, most_k = volume.shape[0] - 2, volume.shape[1] - 2, volume.shape[2] - 2
     for s in range(steps):
         at = reach[0] + (s + 0.5) * step
         u = min(max(ray[0, 0] + at * ray[0, 1], 0.0), box[0])
         v = min(max(ray[1, 0] + at * ray[1, 1], 0.0), box[1])
         w = min(max(ray[2, 0] + at * ray[2, 1], 0.0), box[2])
-        i, j, k = min(int(u), int(box[0]) - 1), min(int(v), int(box[1]) - 1), min(int(w), int(box[2]) - 1)
+        i, j, k = min(int(u), most_i), min(int(v), most_j), min(int(w), most_k)
         du, dv, dw = u - i, v - j, w - k
+        # Unsigned: numba then does without a check for negative indices.
+        here = np.uint64(i * along_i + j * along_j + 2 * k)
         for channel in range(2):
-            c00 = volume[i, j, k, channel] * (1 - dw) + volume[i, j, k + 1, channel] * dw
-            c01 = volume[i, j + 1, k, channel] * (1 - dw) + volume[i, j + 1, k + 1, channel] * dw
-            c10 = volume[i + 1, j, k, channel] * (1 - dw) + volume[i + 1, j, k + 1, channel] * dw
-            c11 = volume[i + 1, j + 1, k, channel] * (1 - dw) + volume[i + 1, j + 1, k + 1, channel] * dw
-            c0, c1 = c00 * (1 - dv) + c01 * dv, c10 * (1 - dv) + c11 * dv
-            cumulative[s + 1, channel] = cumulative[s, channel] + (c0 * (1 - du) + c1 * du) * step
+            c00 = flat[here] * (1.0 - dw) + flat[here + np.uint64(2)] * dw
+            beside = here + np.uint64(along_j)
+            c01 = flat[beside] * (1.0 - dw) + flat[beside + np.uint64(2)] * dw
+            behind = here + np.uint64(along_i)
+            c10 = flat[behind] * (1.0 - dw) + flat[behind + np.uint64(2)] * dw
+            behind += np.uint64(along_j)
+            c11 = flat[behind] * (1.0 - dw) + flat[behind + np.uint64(2)] * dw
+            c0, c1 = c00 * (1.0 - dv) + c01 * dv, c10 * (1.0 - dv) + c11 * dv
+            cumulative[s + 1, channel] = cumulative[s, channel] + (c0 * (1.0 - du) + c1 * du) * step
+            here += np.uint64(1)
     return steps
 
 
