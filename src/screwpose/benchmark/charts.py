@@ -196,6 +196,8 @@ def _times(name: str, methods: Methods, styles: Mapping[str, dict[str, Any]]) ->
                 x, middle, [low, high], label=method, capsize=2, markersize=5, linewidth=1.5, **styles[method]
             )
         axes.set_yscale("log")
+        low_s, high_s = axes.get_ylim()
+        axes.set_ylim(low_s / 1.5, high_s * 1.5)  # times that hardly differ look so
         _plain_decades(axes.yaxis)
         axes.set_xticks(numbers)
         axes.set_xlim(numbers[0] - 0.6, numbers[-1] + 0.6)

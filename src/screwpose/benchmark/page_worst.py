@@ -142,7 +142,7 @@ def _numbers(record: CaseRecord) -> str:
     texts = [f"{record.pairs_right} of {record.pairs_true} pairs right"]
     if record.probability is not None:
         texts.append(f"p {record.probability:.3f}")
-    for screw in record.screws:
+    for screw in sorted(record.screws, key=_tip_mm, reverse=True)[:_MAX_SCREWS]:
         if screw.errors is not None:
             name = "/".join(screw.labels.values())
             roll = "" if screw.errors.roll_deg is None else f", roll {screw.errors.roll_deg:.1f}°"
