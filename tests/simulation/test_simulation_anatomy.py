@@ -12,11 +12,13 @@ from screwpose._types import FloatArray
 from screwpose.errors import MeshError
 from screwpose.implants.model import Mesh
 from screwpose.simulation import solids
+from screwpose.simulation.anatomy_bones import bones_from_table
 from screwpose.simulation.anatomy_fields import bar, ellipsoid, slab, smooth_union
 from screwpose.simulation.bodies import Body, Layer
 from screwpose.simulation.materials import GAS
 from screwpose.simulation.patient import Level, Patient, parametric_patient
-from screwpose.simulation.spine_shapes import LEVEL_NAMES, bone_of_level
+from screwpose.simulation.ribs import made_pelvis
+from screwpose.simulation.spine_shapes import LEVEL_NAMES, made_bone
 
 SEEDS = (0, 1)
 
@@ -238,11 +240,21 @@ def test_swept_rod_has_the_volume_of_a_bent_cylinder():
 
 
 def test_bone_of_a_level_is_symmetric_and_in_one_piece():
-    bone, marrow = bone_of_level(2)
+    bone, marrow = made_bone(2)
     assert len(solids.solid(bone).decompose()) == 1
     # Marrow may be cut off where a process is thin.
     assert max(piece.volume() for piece in solids.solid(marrow).decompose()) > 0.9 * volume(marrow)
     assert bone.vertices_mm[:, 0].max() == pytest.approx(-bone.vertices_mm[:, 0].min(), abs=0.5)
+
+
+def test_stored_bones_are_those_that_the_code_makes():
+    """After a change of shapes, tools/make_bones.py has to be run."""
+    made = {"L3": made_bone(2), "T8": made_bone(9), "pelvis": made_pelvis()}
+    for name, surfaces in made.items():
+        for fresh, stored in zip(surfaces, bones_from_table(name), strict=True):
+            assert volume(stored) == pytest.approx(volume(fresh), rel=1e-3)
+            np.testing.assert_allclose(stored.vertices_mm.min(axis=0), fresh.vertices_mm.min(axis=0), atol=0.05)
+            np.testing.assert_allclose(stored.vertices_mm.max(axis=0), fresh.vertices_mm.max(axis=0), atol=0.05)
 
 
 def test_solid_refuses_an_open_mesh():

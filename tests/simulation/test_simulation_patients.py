@@ -14,7 +14,7 @@ from screwpose.simulation.patient import Patient, ct_patient, mesh_spine_patient
 from screwpose.simulation.spine_ct import extended, find_ct_levels, sampled_hu
 from screwpose.simulation.spine_levels import find_level, find_levels
 from screwpose.simulation.spine_mesh import read_vertebrae
-from screwpose.simulation.spine_shapes import bone_of_level, shape_of_level
+from screwpose.simulation.spine_shapes import made_bone, shape_of_level
 from screwpose.simulation.volume import CtVolume
 from tests.data import shared_data
 
@@ -84,7 +84,7 @@ def test_bodies_of_the_segmented_spine_are_usable(segmented):
 @pytest.mark.parametrize("lean_deg", [0.0, 12.0])
 def test_a_made_vertebra_is_found_where_it_was_made(index, lean_deg):
     """Its pedicles were drawn at known places; leaning, and approached from the wrong direction."""
-    bone, _ = bone_of_level(index)
+    bone, _ = made_bone(index)
     shape = shape_of_level(index)
     c, s = np.cos(np.radians(lean_deg)), np.sin(np.radians(lean_deg))
     turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

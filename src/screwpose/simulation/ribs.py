@@ -1,6 +1,5 @@
 """Ribs and pelvis about the spine: coarse, but where they are, and with cortex and marrow."""
 
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +8,7 @@ from screwpose._types import FloatArray
 from screwpose.geometry.rigid import exp_rotation
 from screwpose.implants.model import Mesh
 from screwpose.simulation import solids
+from screwpose.simulation.anatomy_bones import bones_from_table
 from screwpose.simulation.anatomy_fields import Coordinates, bar, ellipsoid, slab, smooth_intersection, smooth_union
 from screwpose.simulation.bodies import Body
 from screwpose.simulation.spine import bone_bodies
@@ -87,12 +87,11 @@ def pelvis_bodies(size: float, world_from_sacrum: FloatArray, rng: np.random.Gen
     upright = np.eye(4)
     upright[:3, :3] = exp_rotation(np.array([-_SACRAL_SLOPE_RAD, 0.0, 0.0]))
     pose = world_from_sacrum @ upright
-    outer, inner = (Mesh(made.vertices_mm * size, made.faces) for made in _pelvis_bone())
+    outer, inner = (Mesh(made.vertices_mm * size, made.faces) for made in bones_from_table("pelvis"))
     return bone_bodies(outer, inner, rng, pose)
 
 
-@cache
-def _pelvis_bone() -> tuple[Mesh, Mesh]:
+def made_pelvis() -> tuple[Mesh, Mesh]:
     """Bone and marrow in the upright frame: LPS, the middle of the sacrum's upper end plate the origin."""
     x = np.arange(0.5 * _PELVIS_STEP_MM, 150.0, _PELVIS_STEP_MM)
     y, z = np.arange(-90.0, 95.0, _PELVIS_STEP_MM), np.arange(-115.0, 55.0, _PELVIS_STEP_MM)

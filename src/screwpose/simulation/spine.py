@@ -12,12 +12,13 @@ from screwpose._types import FloatArray
 from screwpose.geometry.rigid import exp_rotation, transform
 from screwpose.implants.model import Mesh
 from screwpose.simulation import solids
+from screwpose.simulation.anatomy_bones import bones_from_table
 from screwpose.simulation.anatomy_physique import LEVELS, ORIGIN_LEVEL, Physique
 from screwpose.simulation.bodies import Body, Layer
 from screwpose.simulation.materials import CANCELLOUS_BONE, CORTICAL_BONE, DISC, Material
-from screwpose.simulation.spine_shapes import LEVEL_NAMES, VertebraShape, bone_of_level, shape_of_level
+from screwpose.simulation.spine_shapes import LEVEL_NAMES, VertebraShape, shape_of_level
 
-_MADE_LEVELS = (0, 2, 4, 6, 9)  # whose bones are made; the others are bent from the nearest
+MADE_LEVELS = (0, 2, 4, 6, 9)  # whose bones are made; the others are bent from the nearest
 _CORTEX_MM = 0.9  # about what the bones have
 
 
@@ -128,8 +129,8 @@ def bone_bodies(
 
 def vertebra(physique: Physique, index: int, rng: np.random.Generator) -> tuple[Mesh, Mesh]:
     """Bone and marrow of a level, in its frame."""
-    made = min(_MADE_LEVELS, key=lambda known: abs(known - index - 0.1))
-    outer, inner = bone_of_level(made)
+    made = min(MADE_LEVELS, key=lambda known: abs(known - index - 0.1))
+    outer, inner = bones_from_table(LEVEL_NAMES[made])
     shape, target = shape_of_level(made), measures_of_level(physique, index)
     inner = solids.displaced(inner, (1.0 - physique.cortex) * _CORTEX_MM)
     waves = _waves(rng, 8, (25.0, 70.0), 0.6 + 0.4 * physique.wear)

@@ -6,7 +6,6 @@ to the others and to the patient.
 """
 
 from dataclasses import dataclass, fields
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -97,11 +96,10 @@ def shape_of_level(index: int) -> VertebraShape:
     return VertebraShape(**mixed)
 
 
-@cache
-def bone_of_level(index: int) -> tuple[Mesh, Mesh]:
+def made_bone(index: int) -> tuple[Mesh, Mesh]:
     """The closed surfaces of a level's bone and of its marrow, before the patient bends them.
 
-    Made once a process, some 30 ms a level.
+    Some 0.1 s a level: `screwpose.simulation.anatomy_bones` reads what was made once.
     """
     shape = shape_of_level(index)
     reach = np.array([
