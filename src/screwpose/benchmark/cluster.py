@@ -6,6 +6,7 @@ task whose worker dies is done again by another; each case comes back once.
 
 import contextlib
 import logging
+import os
 import pickle
 import secrets
 import signal
@@ -31,7 +32,14 @@ def on_this_machine(tasks: list[CaseTask], workers: int, forecast: Forecast) -> 
     distributed = import_module("distributed")
     forecast.say(f"starting {workers} workers")
     with _deaf_to_ctrl_c(lambda: _local_cluster(workers)) as cluster, distributed.Client(cluster) as client:
-        yield from _gathered(client, tasks, forecast)
+        try:
+            yield from _gathered(client, tasks, forecast)
+        except BaseException:
+            # Closing lets every worker end its case first, which may take a minute. Nothing of it would be kept.
+            for nanny in list(cluster.workers.values()):
+                with contextlib.suppress(OSError, TypeError):  # it is gone, or was never there
+                    os.kill(nanny.pid, signal.SIGKILL)
+            raise
 
 
 def _local_cluster(workers: int) -> Any:
