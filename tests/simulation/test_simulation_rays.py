@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from screwpose._types import FloatArray
 from screwpose.errors import BehindSourceError, MeshError
 from screwpose.geometry.camera import Camera
+from screwpose.implants.closing import closed_mesh
 from screwpose.implants.mesh import read_mesh
 from screwpose.implants.model import Mesh
 from screwpose.implants.parametric import make_screw
 from screwpose.simulation.bodies import Body, Layer
-from screwpose.simulation.closing import closed_mesh
 from screwpose.simulation.materials import MATERIALS, MUSCLE, TITANIUM
 from screwpose.simulation.pathlength import path_length_mm
 from screwpose.simulation.rays import material_lengths_mm

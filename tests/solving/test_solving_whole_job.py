@@ -90,7 +90,8 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
 
 def test_the_same_seed_gives_the_same_answer(simulated: tuple[Case, TruthFile]) -> None:
     case, _ = simulated
-    few = replace(QUICK, method="paper", engine="bitrows", faces=200, search=SearchOptions(generations=12, population=3))
+    few = replace(QUICK, method="paper", engine="bitrows", faces=200)
+    few = replace(few, search=SearchOptions(generations=12, population=3))
     answers = [solve(case, replace(few, search=replace(few.search, seed=seed))).answer for seed in (5, 5, 6)]
     poses = [[screw.world_from_cad for screw in answer.screws] for answer in answers]
     assert poses[0] == poses[1] != poses[2]

@@ -8,10 +8,10 @@ import numpy as np
 from screwpose._types import BoolArray, FloatArray
 from screwpose.geometry.camera import Camera
 from screwpose.geometry.rigid import transform
+from screwpose.implants.closing import closed_mesh
 from screwpose.implants.model import Mesh
 from screwpose.simulation.arrangement_screws import PlacedScrew
 from screwpose.simulation.carm import resized
-from screwpose.simulation.closing import closed_mesh
 from screwpose.simulation.pathlength import path_length_patch
 
 _WIDTH_PX = 256

@@ -8,8 +8,8 @@ import numpy as np
 
 from screwpose._types import FloatArray
 from screwpose.geometry.rigid import transform
+from screwpose.implants.closing import closed_mesh
 from screwpose.implants.model import Mesh
-from screwpose.simulation.closing import closed_mesh
 from screwpose.simulation.materials import Material
 
 

@@ -171,7 +171,7 @@ def _projected(
         0 is the centre of pixel 0.
     rows : of pixels; where samples are fewer, of samples.
     """
-    from screwpose.simulation import rays_kernels
+    from screwpose.simulation import rays_crossings
 
     offset = max(0.5 * (per_px - 1.0), 0.0)
     sample_from_pixel = np.array([[per_px, 0.0, offset], [0.0, per_px, offset], [0.0, 0.0, 1.0]])
@@ -187,7 +187,7 @@ def _projected(
     X, Y, Z = np.concatenate(vertices).T
     x, y, depth = (row[0] * X + row[1] * Y + row[2] * Z + row[3] for row in projection)
     x, y, inverse_depth = x / depth, y / depth, 1.0 / depth
-    ranges = rays_kernels.row_ranges(y, corners, int(rows * max(per_px, 1.0)))
+    ranges = rays_crossings.row_ranges(y, corners, int(rows * max(per_px, 1.0)))
     return x, y, inverse_depth, corners, np.concatenate(ranks).astype(np.int32), ranges
 
 

@@ -50,7 +50,7 @@ def render(
     BehindSourceError
         A body is not in front of the source.
     MeshError
-        A body is damaged; see `screwpose.simulation.closing.closed_mesh`.
+        A body is damaged; see `screwpose.implants.closing.closed_mesh`.
     """
     bins = detector_bins(detector)
     clean = transmission(camera, bodies, detector.image_size, detector.supersample, volume=volume, bins=bins)
