@@ -21,7 +21,7 @@ def examples_in(name):
 
 
 def test_the_pages_with_examples_are_the_ones_that_we_think():
-    assert PYTHON == ["errors.md", "files.md", "quickstart.md"]
+    assert PYTHON == ["benchmarking.md", "errors.md", "files.md", "quickstart.md"]
     assert SESSIONS == ["conventions.md"]
 
 

@@ -62,7 +62,7 @@ def test_command_lines_were_found():
         "screwpose slove case -o out",
         "screwpose solve case -o out --fases 3",
         "screwpose solve case",
-        "screwpose bench -o x --set all",
+        "screwpose bench -o x --count all",
         "screwpose model look file",
     ],
 )
@@ -121,7 +121,7 @@ def test_numbers_are_those_of_the_code():
 def test_exit_codes_are_those_of_the_program():
     from screwpose.cli import terminal
 
-    names = ("OK", "UNFORESEEN", "USAGE", "BAD_INPUT", "CANNOT_WRITE", "REFUSED", "INTERRUPTED")
+    names = ("OK", "UNFORESEEN", "USAGE", "BAD_INPUT", "CANNOT_WRITE", "REFUSED", "WORSE", "INTERRUPTED")
     told = [int(code) for code in re.findall(r"^\| (\d+) \|", TEXTS["errors.md"], re.M)]
     assert told == [getattr(terminal, name) for name in names]
 
