@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from screwpose.simulation.rays_crossings import GAP, Faces, all_crossings, most, resolve
+from screwpose.simulation.rays_crossings import GAP, Faces, all_crossings, most, resolve, sort_crossings
 from screwpose.simulation.rays_fields import Floats, Ints, kernel, march, noise_along, up_to
 
 # For each body (bodies,) its texture or -1; where that lies in the noise (T, 3, 4), its relative standard deviation
