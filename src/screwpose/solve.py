@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from screwpose.errors import MeshError
 from screwpose.files.case import Case
 from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
@@ -100,11 +101,12 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
         Trial(combination, float(probability), poses, score(evidence, combination, poses))
         for combination, poses, probability in zip(ranked, placed, probabilities(ranked), strict=True)
     ]
+    warnings = [finding.within_file() for finding in warnings_in(findings)]
     clock.lap("pairing")
 
     if options.search.generations > 0:
-        refined = _registered if _refinement(options) == "evolution" else _registered_by_thickness
-        trials = refined(case, evidence, trials, options, _within(tell, 0.2, 0.97))
+        trials, excuses = _registered(case, evidence, trials, options, _within(tell, 0.2, 0.97))
+        warnings += excuses
     clock.lap("registration")
 
     tell(0.97, "judging")
@@ -112,7 +114,6 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     confidence = judge([trial.combination for trial in trials], 0, trials[0].probability)
     if confidence.status == "refused":
         return refused(case, confidence.reasons, clock.read("judging"))
-    warnings = [finding.within_file() for finding in warnings_in(findings)]
     if warnings and confidence.status == "confident":
         confidence = replace(confidence, status="ambiguous")
     result = answered(case, evidence, trials, confidence, options.noise, warnings, clock.read("judging"))
@@ -151,7 +152,20 @@ def _promising(trials: list[Trial], options: SolveOptions) -> list[Trial]:
 
 
 def _registered(
-    _case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
+    case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
+) -> tuple[list[Trial], list[str]]:
+    """The trials, the most promising of them registered; and why it was not done as asked, if it was not."""
+    if _refinement(options) == "evolution":
+        return _registered_by_evolution(evidence, trials, options, tell), []
+    try:
+        return _registered_by_thickness(case, evidence, trials, options, tell), []
+    except MeshError as error:
+        excuse = f"registered by silhouettes, since a model has no thickness: {error}"
+        return _registered_by_evolution(evidence, trials, options, tell), [excuse]
+
+
+def _registered_by_evolution(
+    evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
 ) -> list[Trial]:
     """The trials, the most promising of them registered by the paper's search."""
     promising = _promising(trials, options)

@@ -57,8 +57,14 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
     Parameters
     ----------
     center_mm : (3,), in world, about where the screws are.
+
+    Raises
+    ------
+    MeshError
+        A model encloses nothing, or its neighbouring faces disagree about the outside: along a ray there is no length.
     """
     from screwpose.images import log_image
+    from screwpose.implants.closing import closed_mesh
     from screwpose.implants.mesh import reduced
 
     logs = {name: log_image(view.radiograph.pixels) for name, view in case.views.items()}
@@ -68,7 +74,9 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
         for scale, _ in stages
     }
     meshes = {
-        name: implant.mesh if len(implant.mesh.faces) <= _MOST_FACES else reduced(implant.mesh, _MOST_FACES)
+        name: closed_mesh(
+            implant.mesh if len(implant.mesh.faces) <= _MOST_FACES else reduced(implant.mesh, _MOST_FACES)
+        )
         for name, implant in case.implants.items()
     }
     return Thickness(targets, stages, meshes)
