@@ -1,5 +1,6 @@
 """The command `screwpose bench`."""
 
+import os
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -76,6 +77,9 @@ def bench(
     quiet: Quiet = False,
 ) -> None:
     """Measure methods on cases with known truth; a run that is stopped goes on with --resume."""
+    # Before numpy is imported: the last digit of a long sum depends on how many threads share it, and records are to be
+    # the same with any number of workers, which have one each.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from screwpose.benchmark.runner import can_use_workers, run_bench, usual_workers
     from screwpose.cli import words_bench
 
