@@ -289,10 +289,10 @@ def test_demo_makes_solves_and_scores_a_case(tmp_path: Path, monkeypatch: pytest
     result = program("demo", "-o", "demo", "--size", "256", *QUICK)
     assert result.exit_code == 0, result.output
     text = " ".join(result.stdout.split())
-    assert "Against the truth (simulated): AP 1 / LAT b: paired right, tip " in text
+    assert "Against the truth (simulated): AP 1 / LAT a: paired right, tip " in text
     assert "solve it again with screwpose solve demo/case -o OUT" in text
     assert {"case", "result.json", "report.html"} <= set(names_in(Path("demo")))
-    assert {"case.json", "truth.json", "ap.png", "lat.png", "models"} == set(names_in(Path("demo/case")))
+    assert {"case.json", "truth.json", "scene.json", "ap.png", "lat.png", "models"} == set(names_in(Path("demo/case")))
 
 
 def test_simulate_makes_a_case_that_has_nothing_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
