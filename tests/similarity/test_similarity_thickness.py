@@ -105,4 +105,15 @@ def test_model_derivatives_by_a_parameter_are_differences_of_the_model() -> None
         return np.concatenate([one[found.near] for one in along])
 
     numeric = (model(lengths + 0.5 * change) - model(lengths - 0.5 * change)) / 1.0
-    np.testing.assert_allclose(slopes[:, 0], numeric, atol=2e-6 + 0.02 * np.abs(numeric).max())
+    np.testing.assert_allclose(slopes[0], numeric, atol=2e-6 + 0.02 * np.abs(numeric).max())
+
+
+def test_normal_equations_are_those_of_a_matrix_product() -> None:
+    from screwpose.similarity.kernels import normal_equations
+
+    rng = np.random.default_rng(3)
+    for rows in (1, 2047, 5000):
+        columns, weights, target = rng.normal(size=(4, rows)), rng.random(rows), rng.normal(size=rows)
+        matrix, right = normal_equations(columns, weights, target)
+        np.testing.assert_allclose(matrix, (columns * weights) @ columns.T, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(right, (columns * weights) @ target, rtol=1e-10, atol=1e-12)

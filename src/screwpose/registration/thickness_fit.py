@@ -102,6 +102,8 @@ def linearised(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], mark_sigma_px: float
 ) -> Linearised:
     """The normal equations of all views and marks at some poses."""
+    from screwpose.similarity.kernels import normal_equations
+
     size = 6 * len(bodies)
     information, gradient = np.zeros((size, size)), np.zeros(size)
     energies = []
@@ -111,9 +113,9 @@ def linearised(
         energies.append(explanation.energy)
         if len(explanation.residuals):
             J = derivatives(target, explanation, lengths, [change[:, :, k] for change in by_change for k in range(6)])
-            weighted = J * _information(explanation)[:, None]
-            information += weighted.T @ J
-            gradient += weighted.T @ explanation.residuals
+            matrix, right = normal_equations(J, _information(explanation), explanation.residuals)
+            information += matrix
+            gradient += right
     for index, (body, pose) in enumerate(zip(bodies, poses, strict=True)):
         if body.marks is not None:
             own = slice(6 * index, 6 * index + 6)

@@ -99,3 +99,34 @@ def measure_scenes(
         )
         bits[first_row:last_row, first_word:last_word] = 0
     return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})  # sums several lanes at once
+def normal_equations(columns, weights, target):
+    """``A^T W A`` (n, n) and ``A^T W b`` (n,) of columns (n, rows), weights (rows,) and target (rows,).
+
+    Summed in one order whatever the number of threads, so that the same input gives the same bits on a machine; in
+    blocks that the cache holds.
+    """
+    n, rows = columns.shape
+    matrix, right = np.zeros((n, n)), np.zeros(n)
+    block = 2048
+    weighted = np.empty(block)
+    for begin in range(0, rows, block):
+        end = min(begin + block, rows)
+        for i in range(n):
+            for k in range(begin, end):
+                weighted[k - begin] = columns[i, k] * weights[k]
+            total = 0.0
+            for k in range(begin, end):
+                total += weighted[k - begin] * target[k]
+            right[i] += total
+            for j in range(i, n):
+                total = 0.0
+                for k in range(begin, end):
+                    total += weighted[k - begin] * columns[j, k]
+                matrix[i, j] += total
+    for i in range(n):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i]
+    return matrix, right

@@ -164,10 +164,10 @@ def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice,
     for constant in _CONSTANTS_MM:
         along_u, along_v = target.differentiated(-np.expm1(-lengths / constant))
         columns.append(np.concatenate([along_u[near], along_v[near]]))
-    basis = np.stack(columns, axis=1).astype(np.float64)
+    basis = np.stack(columns).astype(np.float64)
     image = np.concatenate([target.along_u[window][near], target.along_v[window][near]]).astype(np.float64)
     response, residuals, weights, spread = _fitted(basis, image)
-    energy = 1.0 - float(residuals @ residuals) / max(float(image @ image), 1e-300)
+    energy = 1.0 - float(np.sum(residuals**2)) / max(float(np.sum(image**2)), 1e-300)
     return Explanation(response, near, residuals, weights, spread, energy)
 
 
@@ -177,16 +177,18 @@ def clipped(lengths_mm: FloatArray) -> ImageArray:
 
 
 def _fitted(basis: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Weights of the basis that are not negative, robustly; the residuals, their weights, and their spread."""
+    """Weights of the basis (5, 2 N) that are not negative, robustly; the residuals, their weights, and their spread."""
     from scipy.optimize import nnls
 
+    from screwpose.similarity.kernels import normal_equations
+
     weights = np.ones(len(image))
-    ridge = 1e-9 * np.trace(basis.T @ basis) * np.eye(basis.shape[1])
+    ridge = 1e-9 * float(np.sum(basis**2)) * np.eye(len(basis))
     for _ in range(_REWEIGHTED):
-        weighted = basis * weights[:, None]
-        # The normal equations: the basis is five columns wide, and a hundred thousand rows long.
-        response, _ = nnls(weighted.T @ basis + ridge, weighted.T @ image)
-        model = basis @ response
+        # The normal equations: there are five unknowns, and a hundred thousand rows.
+        matrix, right = normal_equations(basis, weights, image)
+        response, _ = nnls(matrix + ridge, right)
+        model = sum(weight * one for weight, one in zip(response, basis, strict=True))
         residuals = image - model
         edges = np.abs(model)
         rim = edges > _RIM_SHARE * np.percentile(edges, 99)
@@ -202,7 +204,7 @@ def derivatives(
     lengths_mm: FloatArray,
     lengths_by_parameter: Sequence[FloatArray],
 ) -> FloatArray:
-    """How the model's derivatives change with the parameters, the response held: (2 N, parameters).
+    """How the model's derivatives change with the parameters, the response held: (parameters, 2 N).
 
     Parameters
     ----------
@@ -218,4 +220,4 @@ def derivatives(
     for change in lengths_by_parameter:
         along_u, along_v = target.differentiated(slope * change.astype(np.float32))
         columns.append(np.concatenate([along_u[explanation.near], along_v[explanation.near]]))
-    return np.stack(columns, axis=1).astype(np.float64)
+    return np.stack(columns).astype(np.float64)
