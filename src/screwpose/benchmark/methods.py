@@ -128,6 +128,6 @@ def _epipolar(case: Case, options: SolveOptions, progress: Progress | None) -> R
     return solve(case, replace(options, method="epipolar"), progress)
 
 
-@register_method("default", "this program's own: pairing by a tip-centre segment of known length")
+@register_method("default", "this program's own: pairing by the marks and the CAD, registration by thickness")
 def _default(case: Case, options: SolveOptions, progress: Progress | None) -> Result:
     return solve(case, replace(options, method="default"), progress)

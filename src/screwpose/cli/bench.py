@@ -11,6 +11,8 @@ import typer
 
 from screwpose.cli.options import (
     AsJson,
+    EngineName,
+    EngineOption,
     Faces,
     Generations,
     MaxRoll,
@@ -18,9 +20,12 @@ from screwpose.cli.options import (
     MaxTilt,
     Population,
     Quiet,
+    RefinementName,
+    RefinementOption,
     Seed,
     SigmaPx,
     check_faces,
+    chosen,
 )
 from screwpose.cli.terminal import UNFORESEEN, WORSE, answers_errors, say_json, shown_progress
 from screwpose.errors import CancelledError, InputError
@@ -66,6 +71,8 @@ def bench(
     baseline: Annotated[
         Path | None, typer.Option(help="The measures.json of an earlier run: being worse leaves by 6.")
     ] = None,
+    engine: EngineOption = EngineName.auto,
+    refinement: RefinementOption = RefinementName.auto,
     faces: Faces = 1000,
     generations: Generations = 60,
     population: Population = 5,
@@ -96,6 +103,8 @@ def bench(
     check_faces(faces)
     asked = {"sets": _names(sets), "cases": cases, "methods": _names(methods), "count": count, "seed": seed}
     solver = {
+        "engine": chosen(engine),
+        "refinement": chosen(refinement),
         "faces": faces,
         "generations": generations,
         "population": population,

@@ -9,6 +9,8 @@ from screwpose import __version__
 from screwpose.cli.bench import bench
 from screwpose.cli.options import (
     AsJson,
+    EngineName,
+    EngineOption,
     Faces,
     Generations,
     ImageSize,
@@ -19,6 +21,8 @@ from screwpose.cli.options import (
     MethodOption,
     Population,
     Quiet,
+    RefinementName,
+    RefinementOption,
     Seed,
     SigmaPx,
     solver_options,
@@ -53,6 +57,8 @@ def demo(
     seed: Seed = 7,
     size: ImageSize = 1024,
     method: MethodOption = MethodName.default,
+    engine: EngineOption = EngineName.auto,
+    refinement: RefinementOption = RefinementName.auto,
     faces: Faces = 1000,
     generations: Generations = 60,
     population: Population = 5,
@@ -67,9 +73,8 @@ def demo(
     from screwpose.cli.jobs import run_demo
     from screwpose.cli.words import told_demo
 
-    options = solver_options(
-        method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll)
-    )
+    bounds = (max_shift, max_tilt, max_roll)
+    options = solver_options(method, faces, generations, population, seed, landmark_sigma, bounds, engine, refinement)
     with shown_progress(quiet or as_json) as progress:
         result, comparison = run_demo(out, seed, size, options, progress)
     if as_json:
@@ -85,6 +90,8 @@ def solve(
     case: Annotated[Path, typer.Argument(help="case.json, or its folder.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder to write into.")],
     method: MethodOption = MethodName.default,
+    engine: EngineOption = EngineName.auto,
+    refinement: RefinementOption = RefinementName.auto,
     faces: Faces = 1000,
     generations: Generations = 60,
     population: Population = 5,
@@ -100,9 +107,8 @@ def solve(
     from screwpose.cli.jobs import solve_files
     from screwpose.cli.words import told_result
 
-    options = solver_options(
-        method, faces, generations, population, seed, landmark_sigma, (max_shift, max_tilt, max_roll)
-    )
+    bounds = (max_shift, max_tilt, max_roll)
+    options = solver_options(method, faces, generations, population, seed, landmark_sigma, bounds, engine, refinement)
     with shown_progress(quiet or as_json) as progress:
         result, _ = solve_files(case, out, options, progress)
     if as_json:

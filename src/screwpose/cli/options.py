@@ -19,12 +19,41 @@ class MethodName(StrEnum):
     epipolar = "epipolar"
 
 
+class EngineName(StrEnum):
+    """How masks are drawn."""
+
+    auto = "auto"
+    opencv = "opencv"
+    bitrows = "bitrows"
+
+
+class RefinementName(StrEnum):
+    """How screws are registered."""
+
+    auto = "auto"
+    evolution = "evolution"
+    thickness = "thickness"
+
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object, for machines.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print nothing but errors.")]
 MethodOption = Annotated[
     MethodName,
     typer.Option(
         help="How the pairing is decided: by the landmarks and the CAD, as in the paper, or by epipolar lines."
+    ),
+]
+EngineOption = Annotated[
+    EngineName,
+    typer.Option(
+        "--engine", help="How masks are drawn: triangle by triangle as in the paper, or as bit rows; auto: by --method."
+    ),
+]
+RefinementOption = Annotated[
+    RefinementName,
+    typer.Option(
+        "--refinement",
+        help="How screws are registered: by the paper's evolution, or by thickness; auto: by --method.",
     ),
 ]
 Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
@@ -54,6 +83,11 @@ def check_faces(faces: int) -> None:
         )
 
 
+def chosen(option: EngineName | RefinementName) -> Any:
+    """The option's value; None where the method decides."""
+    return None if option.value == "auto" else option.value
+
+
 def solver_options(
     method: MethodName,
     faces: int,
@@ -62,13 +96,21 @@ def solver_options(
     seed: int,
     landmark_sigma: float,
     bounds: tuple[float, float, float],
+    engine: EngineName = EngineName.auto,
+    refinement: RefinementName = RefinementName.auto,
 ) -> Any:
     """`SolveOptions` from what the command line says; `bounds` are shift, tilt and roll."""
     from screwpose.pairing.segment import LandmarkNoise
     from screwpose.solve import SolveOptions
 
     check_faces(faces)
-    options = SolveOptions(method=method.value, faces=faces or None, noise=LandmarkNoise(sigma_px=landmark_sigma))
+    options = SolveOptions(
+        method=method.value,
+        faces=faces or None,
+        noise=LandmarkNoise(sigma_px=landmark_sigma),
+        engine=chosen(engine),
+        refinement=chosen(refinement),
+    )
     shift, tilt, roll = bounds
     search = replace(
         options.search,
