@@ -7,7 +7,7 @@ import trimesh
 from screwpose.errors import BehindSourceError, GeometryError
 from screwpose.geometry import rigid
 from screwpose.implants import ScrewDesign, make_screw
-from screwpose.projection.thickness import path_lengths, rays_of_depth_one
+from screwpose.projection.thickness import MotionFrame, path_lengths, rays_of_depth_one
 
 K = np.array([[500.0, 3.0, 100.0], [0, 480.0, 80.0], [0, 0, 1]])
 ALL = (slice(0, 160), slice(0, 200))
@@ -105,7 +105,7 @@ def test_derivatives_against_differences_of_moved_bodies() -> None:
     # A body without grazing faces in view, so that nothing is held down: a box seen on a corner, off the rim.
     box = trimesh.creation.box((30.0, 40.0, 50.0))
     pose = at(5.0, -4.0, 300.0, (0.5, 0.6, 0.2))
-    found = path_lengths(K, pose, np.asarray(box.vertices), np.asarray(box.faces), ALL, with_motion=True)
+    found = path_lengths(K, pose, np.asarray(box.vertices), np.asarray(box.faces), ALL, motion=MotionFrame())
     assert found.by_motion is not None
     step = 1e-4
     for k in range(6):
@@ -120,6 +120,23 @@ def test_derivatives_against_differences_of_moved_bodies() -> None:
         assert np.abs(found.by_motion[:, :, k][~covered]).max() == 0.0
 
 
+def test_motions_about_a_pivot_and_along_other_axes_are_the_same_motions() -> None:
+    box = trimesh.creation.box((30.0, 40.0, 50.0))
+    pose = at(5.0, -4.0, 300.0, (0.5, 0.6, 0.2))
+    turn = rigid.exp_rotation(np.array([0.3, -0.8, 0.4]))
+    pivot = np.array([10.0, 20.0, 310.0])
+    plain, other = (
+        path_lengths(K, pose, np.asarray(box.vertices), np.asarray(box.faces), ALL, frame).by_motion
+        for frame in (MotionFrame(), MotionFrame(pivot, turn.T))
+    )
+    assert plain is not None
+    assert other is not None
+    # A rotation w and a shift t in the other axes are turn @ w about the pivot, and turn @ t, in the camera's.
+    w, t = np.array([0.1, 0.2, -0.3]), np.array([1.0, -2.0, 0.5])
+    in_camera = np.concatenate([turn @ w, turn @ t + np.cross(pivot, turn @ w)])
+    np.testing.assert_allclose(other @ np.concatenate([w, t]), plain @ in_camera, rtol=1e-3, atol=0.05)
+
+
 def test_grazing_faces_are_held_down_and_blurred_derivatives_agree() -> None:
     from scipy.ndimage import gaussian_filter
 
@@ -127,7 +144,7 @@ def test_grazing_faces_are_held_down_and_blurred_derivatives_agree() -> None:
     pose = at(-5.0, -20.0, 350.0, (0.9, 0.4, -0.5))
     fine = np.array([[3000.0, 0, 0], [0, 3000.0, 0], [0, 0, 1]])
     part = (slice(-300, 300), slice(-300, 300))
-    found = path_lengths(fine, pose, mesh.vertices_mm, mesh.faces, part, with_motion=True)
+    found = path_lengths(fine, pose, mesh.vertices_mm, mesh.faces, part, motion=MotionFrame())
     assert found.by_motion is not None
     assert (found.lengths_mm > 0.0).sum() > 10_000
     for k, step in enumerate([1e-4] * 3 + [0.03] * 3):

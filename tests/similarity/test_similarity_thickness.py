@@ -5,7 +5,7 @@ import pytest
 
 from screwpose.errors import ImageError
 from screwpose.geometry import Camera
-from screwpose.similarity.thickness import derivatives, explain, make_gradient_target
+from screwpose.similarity.thickness import derivatives, explain, make_gradient_target, response_slope
 
 SHAPE = (120, 160)
 CAMERA = Camera.from_matrix(np.array([[400.0, 0, 80, 0], [0, 400.0, 60, 0], [0, 0, 1, 0]]))
@@ -67,10 +67,9 @@ def test_a_response_of_its_own_family_is_recovered_behind_a_slope_and_outliers()
     assert 0.4 < found.energy < 0.97  # the wire is not explained
     clean = image - np.where((V >= 40) & (V < 44) & (U >= 60) & (U < 90), 0.6, 0.0)
     assert explain(make_gradient_target(clean.astype(np.float32), EVERYWHERE, CAMERA, 1), lengths, WHOLE).energy > 0.97
-    half = len(found.weights) // 2
     on_wire = np.zeros(SHAPE, bool)
     on_wire[39:45, 65:85] = True
-    assert np.median(found.weights[half:][on_wire[found.near]]) < 0.2 < 0.8 < np.median(found.weights)
+    assert np.median(found.weights[1][on_wire[found.near]]) < 0.2 < 0.8 < np.median(found.weights)
 
 
 def test_nothing_in_view_and_a_model_in_the_wrong_place_explain_nothing() -> None:
@@ -96,16 +95,41 @@ def test_model_derivatives_by_a_parameter_are_differences_of_the_model() -> None
     target = make_gradient_target(image, EVERYWHERE, CAMERA, 1)
     found = explain(target, lengths, WHOLE)
     change = 0.01 * lengths * (1.0 + 0.01 * U)
-    slopes = derivatives(target, found, lengths, [change])
+    by_motion = np.stack([change, 2.0 * change], axis=2).astype(np.float32)
+    slopes = derivatives(target, response_slope(found.response, lengths), by_motion)
     constants = np.array([0.7, 2.0, 6.0, 15.0, 40.0])
 
     def model(lengths_mm: np.ndarray) -> np.ndarray:
         shown = sum(w * -np.expm1(-lengths_mm / c) for w, c in zip(found.response, constants, strict=True))
-        along = target.differentiated(np.asarray(shown, dtype=np.float32))
-        return np.concatenate([one[found.near] for one in along])
+        return np.stack(target.differentiated(np.asarray(shown, dtype=np.float32)))
 
     numeric = (model(lengths + 0.5 * change) - model(lengths - 0.5 * change)) / 1.0
-    np.testing.assert_allclose(slopes[0], numeric, atol=2e-6 + 0.02 * np.abs(numeric).max())
+    np.testing.assert_allclose(slopes[..., 0], numeric, atol=2e-6 + 0.02 * np.abs(numeric).max())
+    np.testing.assert_allclose(slopes[..., 1], 2.0 * slopes[..., 0], atol=1e-6)
+
+
+def test_blocks_are_those_of_a_matrix_product() -> None:
+    from screwpose.similarity.kernels import add_block, add_gradient
+
+    rng = np.random.default_rng(6)
+    weights, residuals = rng.random((2, 30, 40)) * (rng.random((2, 30, 40)) < 0.5), rng.normal(size=(2, 30, 40))
+    windows = [(slice(3, 20), slice(5, 30)), (slice(12, 29), slice(0, 18)), (slice(22, 30), slice(30, 40))]
+    parts = [
+        rng.normal(size=(2, w[0].stop - w[0].start, w[1].stop - w[1].start, 6)).astype(np.float32) for w in windows
+    ]
+    whole = np.zeros((3, 2, 30, 40, 6))
+    for full, part, window in zip(whole, parts, windows, strict=True):
+        full[:, window[0], window[1]] = part
+    corners = [np.array([w[0].start, w[1].start]) for w in windows]
+    for i in range(3):
+        gradient = np.zeros(6)
+        add_gradient(parts[i], corners[i], weights, residuals, gradient)
+        np.testing.assert_allclose(gradient, np.einsum("drci,drc->i", whole[i], weights * residuals), rtol=1e-9)
+        for j in range(3):
+            block = np.zeros((6, 6))
+            add_block(parts[i], parts[j], np.concatenate([corners[i], corners[j]]), weights, block)
+            want = np.einsum("drci,drc,drcj->ij", whole[i], weights, whole[j])
+            np.testing.assert_allclose(block, want, rtol=1e-9, atol=1e-12)
 
 
 def test_normal_equations_are_those_of_a_matrix_product() -> None:

@@ -187,3 +187,41 @@ def add_depths(
                     moments[row, column, 0] += slope * depth * nx
                     moments[row, column, 1] += slope * depth * ny
                     moments[row, column, 2] += slope * depth * nz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def finish_lengths(
+    depths, slopes, moments, detector_from_ray, first_row, first_column, pivot_mm, world_from_camera, by_motion
+):
+    """Turn sums of depths into lengths along the rays, in place, and their slopes into derivatives by a motion.
+
+    Parameters
+    ----------
+    depths, slopes, moments : as `add_depths` left them.
+    pivot_mm : (3,), in the camera's frame; rotations are about it.
+    world_from_camera : (3, 3), in whose axes rotations and shifts are meant.
+    by_motion : (rows, columns, 6), filled where the slopes are wanted.
+    """
+    rows, columns = depths.shape
+    Q, R, p = detector_from_ray, world_from_camera, pivot_mm
+    with_slopes = slopes.shape[0] > 0
+    for row in range(rows):
+        y = row + first_row
+        for column in range(columns):
+            if depths[row, column] == 0.0:
+                continue
+            x = column + first_column
+            rx = Q[0, 0] * x + Q[0, 1] * y + Q[0, 2]
+            ry = Q[1, 1] * y + Q[1, 2]
+            length_per_depth = math.sqrt(rx * rx + ry * ry + 1.0)
+            depths[row, column] *= length_per_depth
+            if with_slopes:
+                sx, sy, sz = slopes[row, column, 0], slopes[row, column, 1], slopes[row, column, 2]
+                mx, my, mz = moments[row, column, 0], moments[row, column, 1], moments[row, column, 2]
+                # The ray, of depth 1, times the moment, less the pivot times the slope.
+                tx = ry * mz - my - (p[1] * sz - p[2] * sy)
+                ty = mx - rx * mz - (p[2] * sx - p[0] * sz)
+                tz = rx * my - ry * mx - (p[0] * sy - p[1] * sx)
+                for k in range(3):
+                    by_motion[row, column, k] = (R[k, 0] * tx + R[k, 1] * ty + R[k, 2] * tz) * length_per_depth
+                    by_motion[row, column, 3 + k] = (R[k, 0] * sx + R[k, 1] * sy + R[k, 2] * sz) * length_per_depth

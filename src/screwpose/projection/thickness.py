@@ -7,9 +7,10 @@ the pose comes from the same pass, since a face's depth along a fixed ray follow
 The simulator has its own path lengths, by other code: what judges must not share a fault with what is judged.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from screwpose._types import FloatArray, IntArray
 from screwpose.errors import BehindSourceError, GeometryError
@@ -29,12 +30,21 @@ class PathLengths:
     Parameters
     ----------
     lengths_mm : (rows, columns), along the ray through each pixel's centre.
-    by_motion : (rows, columns, 6), their derivative by a motion of the body in the camera's frame: a rotation vector
-        about the source (mm per rad), then a shift (mm per mm). None where it was not asked for.
+    by_motion : (rows, columns, 6), float32, their derivative by a motion of the body: a rotation vector (mm per rad),
+        then a shift (mm per mm). None where it was not asked for.
     """
 
     lengths_mm: FloatArray
-    by_motion: FloatArray | None
+    by_motion: NDArray[np.float32] | None
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFrame:
+    """In which motions are meant: about `pivot_mm` (3,), in the camera's frame, along the axes of `world_from_camera`
+    (3, 3). By default about the source and along the camera's own axes."""
+
+    pivot_mm: FloatArray = field(default_factory=lambda: np.zeros(3))
+    world_from_camera: FloatArray = field(default_factory=lambda: np.eye(3))
 
 
 def path_lengths(
@@ -43,7 +53,7 @@ def path_lengths(
     vertices_mm: FloatArray,
     faces: IntArray,
     window: Window,
-    with_motion: bool = False,
+    motion: MotionFrame | None = None,
 ) -> PathLengths:
     """Path lengths through a closed mesh.
 
@@ -54,6 +64,7 @@ def path_lengths(
     vertices_mm, faces : (N, 3) and (F, 3), counter-clockwise seen from outside, closed. Where it is open the sums do
         not cancel, and rays through a hole get lengths of hundreds of mm.
     window : the part of the image that is computed.
+    motion : whose derivatives are wanted; none by default.
 
     Raises
     ------
@@ -73,16 +84,17 @@ def path_lengths(
     if len(vertices_mm) and not nearest_mm > 0.0:
         raise BehindSourceError(f"a vertex at a depth of {nearest_mm:.4g} mm is not in front of the X-ray source")
     depths = np.zeros((rows, columns))
+    with_motion = motion is not None
     slopes, moments = (np.zeros((rows, columns, 3) if with_motion else (0, 0, 3)) for _ in range(2))
+    by_motion = np.zeros((rows, columns, 6) if with_motion else (0, 0, 6), dtype=np.float32)
     inverse: FloatArray = np.asarray(np.linalg.inv(intrinsics), dtype=np.float64)
+    frame = motion or MotionFrame()
     kernels.add_depths(points, u, v, faces, inverse, first_row, first_column, depths, slopes, moments, _LEAST_COSINE)
-    rays = rays_of_depth_one(inverse, window)
-    length_per_depth = np.linalg.norm(rays, axis=2)
-    lengths = depths * length_per_depth
-    if not with_motion:
-        return PathLengths(lengths, None)
-    by_motion = np.concatenate([np.cross(rays, moments), slopes], axis=2) * length_per_depth[:, :, None]
-    return PathLengths(lengths, by_motion)
+    kernels.finish_lengths(
+        depths, slopes, moments, inverse, first_row, first_column, np.ascontiguousarray(frame.pivot_mm),
+        np.ascontiguousarray(frame.world_from_camera), by_motion,
+    )  # fmt: skip
+    return PathLengths(depths, by_motion if with_motion else None)
 
 
 def rays_of_depth_one(detector_from_ray: FloatArray, window: Window) -> FloatArray:

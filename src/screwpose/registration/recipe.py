@@ -11,7 +11,7 @@ from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.registration.initial import turned
 from screwpose.registration.search import Progress
-from screwpose.registration.thickness_fit import Body, ScaleFit, energy, fit_at_scale
+from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_candidates, fit_at_scale
 from screwpose.similarity.thickness import GradientTarget
 
 Targets = Mapping[int, Sequence[GradientTarget]]
@@ -108,9 +108,8 @@ def _best_of_each(
     """One screw after the other takes the candidate that explains most, the others as they stand."""
     best = list(poses)
     for index, body in enumerate(bodies):
-        trials = [[*best[:index], pose, *best[index + 1 :]] for pose in candidates(body, best[index])]
-        energies = [energy(views, bodies, trial) for trial in trials]
-        best = trials[int(np.argmax(energies))]
+        trials = candidates(body, best[index])
+        best[index] = trials[int(np.argmax(energies_of_candidates(views, bodies, best, index, trials)))]
     return best
 
 

@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.implants.model import Implant, Mesh
-from screwpose.projection.thickness import Window, path_lengths
+from screwpose.projection.thickness import MotionFrame, Window, path_lengths
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.similarity.thickness import Explanation, GradientTarget, derivatives, explain
+from screwpose.similarity.thickness import Explanation, GradientTarget, derivatives, explain, response_slope
 
 # Derivatives that were smoothed by 1.3 px share their noise with their neighbours: so many of them count as one.
 _CORRELATED_PX = 8.0
@@ -49,73 +50,102 @@ class Linearised:
     energies: tuple[float, ...]
 
 
-def rendered(
-    target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray], with_motion: bool
-) -> tuple[Window, FloatArray, list[FloatArray]]:
-    """The path lengths of all bodies together, in the part of the image where they are.
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """One body in one view: its path lengths in the part of the image where it is, and how they change.
 
-    Returns
-    -------
-    The window; the lengths (rows, columns), mm; and, if asked for, for each body their derivatives (rows, columns, 6)
-    by a rotation vector in world about its centre, then by a shift in world.
+    Parameters
+    ----------
+    by_motion : (rows, columns, 6), by a rotation vector in world about its centre, then by a shift in world.
     """
-    window = _window(target, bodies, poses)
-    total: FloatArray = np.zeros([part.stop - part.start for part in window])
-    by_change = []
-    world_to_camera = target.camera_from_world[:3, :3]
-    for body, pose in zip(bodies, poses, strict=True):
-        found = path_lengths(
-            target.intrinsics, target.camera_from_world @ pose, body.mesh.vertices_mm, body.mesh.faces, window,
-            with_motion,
-        )  # fmt: skip
-        total += found.lengths_mm
-        if found.by_motion is not None:
-            center = rigid.transform(target.camera_from_world @ pose, body.implant.center_mm)
-            turn, shift = found.by_motion[:, :, :3], found.by_motion[:, :, 3:]
-            about_center = turn - np.cross(center, shift)
-            by_change.append(np.concatenate([about_center @ world_to_camera, shift @ world_to_camera], axis=2))
-    return window, total, by_change
+
+    window: Window
+    lengths_mm: FloatArray
+    by_motion: NDArray[np.float32] | None
 
 
-def _window(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray]) -> Window:
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for body, pose in zip(bodies, poses, strict=True):
-        points = rigid.transform(target.camera_from_world @ pose, body.mesh.vertices_mm) @ target.intrinsics.T
-        pixels = points[:, :2] / np.maximum(points[:, 2:], 1e-6)
-        low, high = np.minimum(low, pixels.min(axis=0)), np.maximum(high, pixels.max(axis=0))
+def rendered(target: GradientTarget, body: Body, pose: FloatArray, with_motion: bool) -> Patch:
+    """Draw one body at a pose."""
+    camera_from_cad = target.camera_from_world @ pose
+    window = _window(target, rigid.transform(camera_from_cad, body.mesh.vertices_mm))
+    frame = None
+    if with_motion:
+        center = rigid.transform(camera_from_cad, body.implant.center_mm)
+        frame = MotionFrame(center, target.camera_from_world[:3, :3].T)
+    found = path_lengths(target.intrinsics, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, window, frame)
+    return Patch(window, found.lengths_mm, found.by_motion)
+
+
+def _window(target: GradientTarget, points_mm: FloatArray) -> Window:
+    """Where points in the camera's frame are in the image, and as much around them as derivatives reach."""
+    homogeneous = points_mm @ target.intrinsics.T
+    pixels = homogeneous[:, :2] / np.maximum(homogeneous[:, 2:], 1e-6)
     rows, columns = target.shape
-    first = np.clip(np.floor(low) - _MARGIN_PX, 0, [columns - 1, rows - 1]).astype(int)
-    last = np.clip(np.ceil(high) + _MARGIN_PX + 1, first + 1, [columns, rows]).astype(int)
+    first = np.clip(np.floor(pixels.min(axis=0)) - _MARGIN_PX, 0, [columns - 1, rows - 1]).astype(int)
+    last = np.clip(np.ceil(pixels.max(axis=0)) + _MARGIN_PX + 1, first + 1, [columns, rows]).astype(int)
     return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+
+
+def together(patches: Sequence[Patch]) -> tuple[Window, FloatArray]:
+    """The window that holds all bodies, and the path lengths of all of them in it."""
+    window = tuple(
+        slice(min(patch.window[axis].start for patch in patches), max(patch.window[axis].stop for patch in patches))
+        for axis in range(2)
+    )
+    lengths: FloatArray = np.zeros([part.stop - part.start for part in window])
+    for patch in patches:
+        lengths[_inside(patch.window, window)] += patch.lengths_mm
+    return (window[0], window[1]), lengths
+
+
+def _inside(part: Window, whole: Sequence[slice]) -> Window:
+    """A window of the image as a part of a larger one."""
+    rows, columns = (
+        slice(own.start - all_.start, own.stop - all_.start) for own, all_ in zip(part, whole, strict=True)
+    )
+    return rows, columns
 
 
 def energy(targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]) -> float:
     """The explained share of the gradient energy, mean of the views."""
-    shares = []
-    for target in targets:
-        window, lengths, _ = rendered(target, bodies, poses, with_motion=False)
-        shares.append(explain(target, lengths, window).energy)
-    return float(np.mean(shares))
+    return energies_of_candidates(targets, bodies, poses, 0, [poses[0]])[0]
+
+
+def energies_of_candidates(
+    targets: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    index: int,
+    candidates: Sequence[FloatArray],
+) -> list[float]:
+    """The explained energy, mean of the views, with one body at each of several poses and the others as they stand."""
+    shares = np.zeros((len(candidates), len(targets)))
+    for column, target in enumerate(targets):
+        others = [
+            rendered(target, body, pose, with_motion=False)
+            for number, (body, pose) in enumerate(zip(bodies, poses, strict=True))
+            if number != index
+        ]
+        for row, candidate in enumerate(candidates):
+            window, lengths = together([*others, rendered(target, bodies[index], candidate, with_motion=False)])
+            shares[row, column] = explain(target, lengths, window).energy
+    return [float(share) for share in shares.mean(axis=1)]
 
 
 def linearised(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], mark_sigma_px: float
 ) -> Linearised:
     """The normal equations of all views and marks at some poses."""
-    from screwpose.similarity.kernels import normal_equations
-
     size = 6 * len(bodies)
     information, gradient = np.zeros((size, size)), np.zeros(size)
     energies = []
     for target in targets:
-        window, lengths, by_change = rendered(target, bodies, poses, with_motion=True)
+        patches = [rendered(target, body, pose, with_motion=True) for body, pose in zip(bodies, poses, strict=True)]
+        window, lengths = together(patches)
         explanation = explain(target, lengths, window)
         energies.append(explanation.energy)
-        if len(explanation.residuals):
-            J = derivatives(target, explanation, lengths, [change[:, :, k] for change in by_change for k in range(6)])
-            matrix, right = normal_equations(J, _information(explanation), explanation.residuals)
-            information += matrix
-            gradient += right
+        if explanation.near.any():
+            _add_view(target, patches, window, lengths, explanation, information, gradient)
     for index, (body, pose) in enumerate(zip(bodies, poses, strict=True)):
         if body.marks is not None:
             own = slice(6 * index, 6 * index + 6)
@@ -125,8 +155,37 @@ def linearised(
     return Linearised(information, gradient, tuple(energies))
 
 
-def _information(explanation: Explanation) -> FloatArray:
-    return np.asarray(explanation.weights / (explanation.spread**2 * _CORRELATED_PX))
+def _add_view(
+    target: GradientTarget,
+    patches: Sequence[Patch],
+    window: Window,
+    lengths_mm: FloatArray,
+    explanation: Explanation,
+    information: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Add one view's part to the normal equations; bodies whose windows do not meet have none in common."""
+    from screwpose.similarity.kernels import add_block, add_gradient
+
+    weights = explanation.image_of(explanation.weights / (explanation.spread**2 * _CORRELATED_PX))
+    residuals = explanation.image_of(explanation.residuals)
+    slope = response_slope(explanation.response, lengths_mm)
+    places = [_inside(patch.window, window) for patch in patches]
+    corners = [np.array([place[0].start, place[1].start]) for place in places]
+    moved = []
+    for patch, place in zip(patches, places, strict=True):
+        assert patch.by_motion is not None
+        moved.append(derivatives(target, slope[place], patch.by_motion))
+    for i, (first, corner) in enumerate(zip(moved, corners, strict=True)):
+        own = slice(6 * i, 6 * i + 6)
+        add_gradient(first, corner, weights, residuals, gradient[own])
+        for j in range(i, len(moved)):
+            block = np.zeros((6, 6))
+            add_block(first, moved[j], np.concatenate([corner, corners[j]]), weights, block)
+            other = slice(6 * j, 6 * j + 6)
+            information[own, other] += block
+            if i != j:
+                information[other, own] += block.T
 
 
 def changed(body: Body, world_from_cad: FloatArray, change: FloatArray) -> FloatArray:

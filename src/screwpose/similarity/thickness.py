@@ -7,7 +7,6 @@ response is a sum of saturating exponentials with weights that are not negative:
 display are, and fitted to each view by itself.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +26,7 @@ _LONGEST_MM = 80.0
 _RIM_SHARE = 0.15
 _CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
 _REWEIGHTED = 2
+_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,18 +129,24 @@ class Explanation:
     ----------
     response : (5,), the weights of the saturating exponentials.
     near : (rows, columns) of the window, the N pixels that were compared.
-    residuals : (2 N,), the image's derivatives minus the model's, along u, then along v, per px.
-    weights : (2 N,), robust, 0 to 1.
+    residuals : (2, N), the image's derivatives minus the model's, along u and along v, per px.
+    weights : (2, N), robust, 0 to 1.
     spread : robust standard deviation of the residuals on the model's edges.
     energy : the share of the image's gradient energy there that the model explains: 1 for all of it.
     """
 
     response: FloatArray
     near: BoolArray
-    residuals: NDArray[np.float64]
-    weights: NDArray[np.float64]
+    residuals: FloatArray
+    weights: FloatArray
     spread: float
     energy: float
+
+    def image_of(self, values: FloatArray) -> FloatArray:
+        """Values (2, N) in their places, (2, rows, columns); 0 where nothing was compared."""
+        image = np.zeros((2, self.near.size))
+        image[:, np.flatnonzero(self.near)] = values
+        return image.reshape(2, *self.near.shape)
 
 
 def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice, slice]) -> Explanation:
@@ -156,19 +162,22 @@ def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice,
     lengths = clipped(lengths_mm)
     reach = _reach_px(target.blur_px)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    near = cv2.dilate((lengths > 0.0).view(np.uint8), disc).astype(np.bool_) & target.counts[window]
-    if not near.any():
-        nothing = np.zeros(0)
+    near = cv2.dilate((lengths > 0.0).view(np.uint8), disc).view(np.bool_) & target.counts[window]
+    flat = np.flatnonzero(near)
+    if not len(flat):
+        nothing = np.zeros((2, 0))
         return Explanation(np.zeros(len(_CONSTANTS_MM)), near, nothing, nothing, 1.0, 0.0)
-    columns = []
-    for constant in _CONSTANTS_MM:
-        along_u, along_v = target.differentiated(-np.expm1(-lengths / constant))
-        columns.append(np.concatenate([along_u[near], along_v[near]]))
-    basis = np.stack(columns).astype(np.float64)
-    image = np.concatenate([target.along_u[window][near], target.along_v[window][near]]).astype(np.float64)
+
+    def taken(along_u: GradientArray, along_v: GradientArray) -> GradientArray:
+        return np.concatenate([along_u.ravel()[flat], along_v.ravel()[flat]])
+
+    basis = np.empty((len(_CONSTANTS_MM), 2 * len(flat)))
+    for row, constant in zip(basis, _CONSTANTS_MM, strict=True):
+        row[:] = taken(*target.differentiated(1.0 - np.exp(lengths / -constant)))
+    image = taken(target.along_u[window], target.along_v[window]).astype(np.float64)
     response, residuals, weights, spread = _fitted(basis, image)
     energy = 1.0 - float(np.sum(residuals**2)) / max(float(np.sum(image**2)), 1e-300)
-    return Explanation(response, near, residuals, weights, spread, energy)
+    return Explanation(response, near, residuals.reshape(2, -1), weights.reshape(2, -1), spread, energy)
 
 
 def clipped(lengths_mm: FloatArray) -> ImageArray:
@@ -184,40 +193,37 @@ def _fitted(basis: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArra
 
     weights = np.ones(len(image))
     ridge = 1e-9 * float(np.sum(basis**2)) * np.eye(len(basis))
+    step = max(1, len(image) // _SAMPLES)  # order statistics need no more
     for _ in range(_REWEIGHTED):
         # The normal equations: there are five unknowns, and a hundred thousand rows.
         matrix, right = normal_equations(basis, weights, image)
         response, _ = nnls(matrix + ridge, right)
         model = sum(weight * one for weight, one in zip(response, basis, strict=True))
         residuals = image - model
-        edges = np.abs(model)
+        edges = np.abs(model[::step])
         rim = edges > _RIM_SHARE * np.percentile(edges, 99)
-        spread = 1.4826 * float(np.median(np.abs(residuals[rim]))) if rim.any() else float(np.std(residuals))
+        spread = 1.4826 * float(np.median(np.abs(residuals[::step][rim]))) if rim.any() else float(np.std(residuals))
         spread = max(spread, 1e-9)
         weights = 1.0 / (1.0 + (residuals / (_CAUCHY * spread)) ** 2)
     return np.asarray(response), residuals, weights, spread
 
 
-def derivatives(
-    target: GradientTarget,
-    explanation: Explanation,
-    lengths_mm: FloatArray,
-    lengths_by_parameter: Sequence[FloatArray],
-) -> FloatArray:
-    """How the model's derivatives change with the parameters, the response held: (parameters, 2 N).
+def response_slope(response: FloatArray, lengths_mm: FloatArray) -> ImageArray:
+    """How the response changes with the path length, ``s'(L)``, per mm."""
+    lengths = clipped(lengths_mm)
+    slope = np.zeros_like(lengths)
+    for weight, constant in zip(response, _CONSTANTS_MM, strict=True):
+        if weight > 0.0:
+            slope += np.float32(weight / constant) * np.exp(lengths / -constant)
+    return slope
+
+
+def derivatives(target: GradientTarget, slope: ImageArray, by_motion: GradientArray) -> GradientArray:
+    """How the model's derivatives change with a body's motion, the response held: (2, rows, columns, 6).
 
     Parameters
     ----------
-    lengths_mm : as `explain` had them.
-    lengths_by_parameter : for each parameter the change of the path lengths, (rows, columns) of the window.
+    slope : (rows, columns) of the body's window, ``s'(L)`` of all bodies' lengths.
+    by_motion : (rows, columns, 6), how this body's lengths change.
     """
-    lengths = clipped(lengths_mm)
-    slope = np.zeros_like(lengths)
-    for weight, constant in zip(explanation.response, _CONSTANTS_MM, strict=True):
-        if weight > 0.0:
-            slope += np.float32(weight / constant) * np.exp(-lengths / constant)
-    columns = []
-    for change in lengths_by_parameter:
-        along_u, along_v = target.differentiated(slope * change.astype(np.float32))
-        columns.append(np.concatenate([along_u[explanation.near], along_v[explanation.near]]))
-    return np.stack(columns).astype(np.float64)
+    return np.stack(target.differentiated(slope[:, :, None] * by_motion))
