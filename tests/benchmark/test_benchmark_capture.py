@@ -9,6 +9,7 @@ import pytest
 
 from screwpose._types import FloatArray
 from screwpose.benchmark.capture import (
+    REGISTRATIONS,
     CaptureTrial,
     bounds_for,
     capture_plot,
@@ -21,6 +22,8 @@ from screwpose.benchmark.sets_base import BenchmarkSet
 from screwpose.files.case import Case
 from screwpose.geometry import rigid
 from screwpose.registration import SearchOptions
+from screwpose.simulation.scenes import two_screw_scene
+from screwpose.simulation.writing import write_case
 from tests.benchmark.worked import BAR, TRUE_POSES, truth_of, write_files
 
 SET = BenchmarkSet("hand", 1, lambda _seed, _index, folder: write_files(folder, truth_of()), 2, "", "")
@@ -97,3 +100,13 @@ def test_the_script_writes_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyP
         "trials.csv",
     ]
     assert (tmp_path / "out" / "capture_range.csv").read_text().splitlines()[1].startswith("hand,0.0,0.0,1,2,2,1.0")
+
+
+def test_thickness_comes_home_from_a_millimetre_without_marks() -> None:
+    def make(_seed: int, _index: int, folder: Path) -> Path:
+        return write_case(two_screw_scene(21, image_size=(448, 448)), folder)
+
+    cases = BenchmarkSet("one", "1", make, 1, "simulated", "")
+    trials = capture_trials(cases, [1.0], [2.0], count=1, seed=1, registration=REGISTRATIONS["thickness"])
+    assert len(trials) == 2
+    assert max(one.tip_mm for one in trials) < 0.3

@@ -83,7 +83,25 @@ def by_evolution(
     return register([case.implants[model] for model in models], starts, losses, options).world_from_cad
 
 
-REGISTRATIONS: dict[str, Registration] = {"evolution": by_evolution}
+def by_thickness(
+    case: Case, models: Sequence[str], starts: Sequence[FloatArray], options: SearchOptions
+) -> Sequence[FloatArray]:
+    """This program's registration: Gauss-Newton on thickness, coarse to fine, here without marks to hold it.
+
+    Its grids and steps are its own: `options` has nothing to say.
+    """
+    from screwpose.pairing.thickness import prepare_thickness
+    from screwpose.registration.recipe import fit_by_thickness
+    from screwpose.registration.thickness_fit import Body
+
+    del options
+    centers = [rigid.transform(pose, case.implants[one].center_mm) for one, pose in zip(models, starts, strict=True)]
+    thickness = prepare_thickness(case, np.mean(centers, axis=0))
+    bodies = [Body(case.implants[one], thickness.meshes[one], None) for one in models]
+    return fit_by_thickness(bodies, starts, thickness.targets, thickness.stages).world_from_cad
+
+
+REGISTRATIONS: dict[str, Registration] = {"evolution": by_evolution, "thickness": by_thickness}
 
 
 def displaced(
