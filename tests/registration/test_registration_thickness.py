@@ -10,7 +10,7 @@ from screwpose.geometry import Camera, rigid
 from screwpose.implants import ScrewDesign, make_screw
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import STAGES, fit_by_thickness, scaled_stages
-from screwpose.registration.thickness_fit import Body, changed, energy, fit_at_scale, linearised
+from screwpose.registration.thickness_fit import Body, changed, energies_of_each, energy, fit_at_scale, linearised
 from screwpose.similarity.thickness import make_gradient_target
 from screwpose.simulation.pathlength import path_length_mm
 
@@ -153,3 +153,13 @@ def test_cancelling_stops_it(targets: dict) -> None:
 
     with pytest.raises(CancelledError, match="stopped"):
         fit_by_thickness(bodies(), TRUTH, targets, scaled_stages(0.46), stop)
+
+
+def test_the_screw_that_is_wrong_has_the_low_energy(targets: dict) -> None:
+    both = bodies()
+    right = energies_of_each(targets[1], both, TRUTH)
+    assert right.shape == (2, 2)
+    assert right.min() > 0.8
+    aside = [TRUTH[0], changed(both[1], TRUTH[1], np.array([0.0, 0.0, 0.0, 3.0, 3.0, 3.0]))]
+    wrong = energies_of_each(targets[1], both, aside)
+    assert wrong[1].max() < 0.5 < wrong[0].min()

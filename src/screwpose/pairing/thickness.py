@@ -18,7 +18,7 @@ from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import Progress, SearchResult
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import Stage, Targets, fit_by_thickness, scaled_stages
-from screwpose.registration.thickness_fit import Body
+from screwpose.registration.thickness_fit import Body, energies_of_each
 from screwpose.similarity.thickness import make_gradient_target
 
 # Larger models are reduced: twice the triangles that a screw with its tower needs for a hundredth of a millimetre.
@@ -40,13 +40,13 @@ class Quality:
 
     Parameters
     ----------
-    energies : by view name, the share of the image's gradient energy near the screws that their models explain.
+    energies : for each screw, by view name, the share of the image's gradient energy near it that the models explain.
     mark_chi_square : squared distances of the marks from the registered landmarks, over their variance: each screw
         has 4 numbers a view, and hardly any freedom left.
     marks : how many numbers that are.
     """
 
-    energies: dict[str, float]
+    energies: tuple[dict[str, float], ...]
     mark_chi_square: float
     marks: int
 
@@ -102,8 +102,10 @@ def refine_by_thickness(
         residuals, _ = mark_residuals(body.implant, pose, body.marks, noise.sigma_px)
         chi_square += float(residuals @ residuals)
         marks += len(residuals)
-    energies = dict(zip(case.views, fit.linearised.energies, strict=True))
-    found = SearchResult(fit.world_from_cad, -float(np.mean(list(energies.values()))), 0, tuple(False for _ in bodies))
+    finest = thickness.targets[thickness.stages[-1][0]]
+    shares = energies_of_each(finest, bodies, fit.world_from_cad)
+    energies = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
+    found = SearchResult(fit.world_from_cad, -float(np.mean(fit.linearised.energies)), 0, (False,) * len(bodies))
     return found, Quality(energies, chi_square, marks)
 
 

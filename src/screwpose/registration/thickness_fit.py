@@ -16,7 +16,14 @@ from screwpose.geometry import rigid
 from screwpose.implants.model import Implant, Mesh
 from screwpose.projection.thickness import MotionFrame, Window, path_lengths
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.similarity.thickness import Explanation, GradientTarget, derivatives, explain, response_slope
+from screwpose.similarity.thickness import (
+    Explanation,
+    GradientTarget,
+    derivatives,
+    explain,
+    near_metal,
+    response_slope,
+)
 
 # Derivatives that were smoothed by 1.3 px share their noise with their neighbours: so many of them count as one.
 _CORRELATED_PX = 8.0
@@ -109,6 +116,28 @@ def _inside(part: Window, whole: Sequence[slice]) -> Window:
 def energy(targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]) -> float:
     """The explained share of the gradient energy, mean of the views."""
     return energies_of_candidates(targets, bodies, poses, 0, [poses[0]])[0]
+
+
+def energies_of_each(
+    targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
+) -> FloatArray:
+    """The explained share of the gradient energy near each body, (B, V): all bodies explain, one is looked at.
+
+    One screw that went astray among many would hardly show in the energy of the whole.
+    """
+    shares = np.zeros((len(bodies), len(targets)))
+    for column, target in enumerate(targets):
+        patches = [rendered(target, body, pose, with_motion=False) for body, pose in zip(bodies, poses, strict=True)]
+        window, lengths = together(patches)
+        explanation = explain(target, lengths, window)
+        left = explanation.image_of(explanation.residuals)
+        for row, patch in enumerate(patches):
+            place = _inside(patch.window, window)
+            near = near_metal(target, patch.lengths_mm) & explanation.near[place]
+            seen = np.stack([target.along_u[patch.window][near], target.along_v[patch.window][near]])
+            total = float(np.sum(seen.astype(np.float64) ** 2))
+            shares[row, column] = 1.0 - float(np.sum(left[:, *place][:, near] ** 2)) / max(total, 1e-300)
+    return shares
 
 
 def energies_of_candidates(

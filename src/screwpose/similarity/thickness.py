@@ -157,12 +157,8 @@ def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice,
     lengths_mm : (rows, columns) of the window: the path lengths of all bodies together.
     window : the part of the image; outside it the lengths are 0.
     """
-    import cv2
-
     lengths = clipped(lengths_mm)
-    reach = _reach_px(target.blur_px)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    near = cv2.dilate((lengths > 0.0).view(np.uint8), disc).view(np.bool_) & target.counts[window]
+    near = near_metal(target, lengths) & target.counts[window]
     flat = np.flatnonzero(near)
     if not len(flat):
         nothing = np.zeros((2, 0))
@@ -178,6 +174,15 @@ def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice,
     response, residuals, weights, spread = _fitted(basis, image)
     energy = 1.0 - float(np.sum(residuals**2)) / max(float(np.sum(image**2)), 1e-300)
     return Explanation(response, near, residuals.reshape(2, -1), weights.reshape(2, -1), spread, energy)
+
+
+def near_metal(target: GradientTarget, lengths_mm: FloatArray | ImageArray) -> BoolArray:
+    """The pixels whose derivatives metal reaches, (rows, columns)."""
+    import cv2
+
+    reach = _reach_px(target.blur_px)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.dilate((lengths_mm > 0.0).view(np.uint8), disc).view(np.bool_))
 
 
 def clipped(lengths_mm: FloatArray) -> ImageArray:
