@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from screwpose._types import FloatArray
+from screwpose.errors import InputError
 from screwpose.simulation.detector import Detector, blade_opening, detector_bins, expected_signal, noisy
 from screwpose.simulation.detector_blur import focal_spot_mtf, gaussian_mtf, noise_power, penumbra_mm, screen_mtf
 from screwpose.simulation.detector_presets import exact, flat_panel, image_intensifier, low_dose
@@ -320,21 +321,24 @@ def test_presets_say_less_with_fewer_pixels_but_the_same_machine():
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"bits": 7}, "bits 7: expected 8 to 16"),
-        ({"scatter_fraction": 1.0}, "scatter_fraction 1: expected 0 up to, not including, 1"),
-        ({"reference_grey": 1.0}, "reference_grey 1: expected between 0 and 1"),
-        ({"glare_fraction": -0.1}, "glare_fraction -0.1: expected 0 up to, not including, 1"),
-        ({"grid_scatter": 1.5}, "grid_scatter 1.5: expected 0 to 1"),
-        ({"pixel_mm": 0.0}, "pixel_mm 0: expected more than 0"),
-        ({"window_width": 0.0}, "window_width 0: expected more than 0"),
-        ({"focal_spot_mm": -1.0}, "focal_spot_mm -1: expected 0 or more"),
-        ({"grey_window": (0.5, 0.0)}, "grey_window width 0: expected more than 0"),
-        ({"source_isocenter_mm": 1200.0}, "source_isocenter_mm 1200: expected between 0 and source_detector_mm, 1000"),
-        ({"pincushion": -0.2}, r"pincushion -0.2: expected more than -0\.067, at most 0.5"),
+        ({"bits": 7}, "bits: 7 is out of range; expected 8 to 16"),
+        ({"scatter_fraction": 1.0}, "scatter_fraction: 1 is out of range; expected 0 up to, not including, 1"),
+        ({"reference_grey": 1.0}, "reference_grey: 1 is out of range; expected between 0 and 1"),
+        ({"glare_fraction": -0.1}, "glare_fraction: -0.1 is out of range; expected 0 up to, not including, 1"),
+        ({"grid_scatter": 1.5}, "grid_scatter: 1.5 is out of range; expected 0 to 1"),
+        ({"pixel_mm": 0.0}, "pixel_mm: 0 is out of range; expected more than 0"),
+        ({"window_width": 0.0}, "window_width: 0 is out of range; expected more than 0"),
+        ({"focal_spot_mm": -1.0}, "focal_spot_mm: -1 is out of range; expected 0 or more"),
+        ({"grey_window": (0.5, 0.0)}, "grey_window width: 0 is out of range; expected more than 0"),
+        (
+            {"source_isocenter_mm": 1200.0},
+            "source_isocenter_mm: 1200 is out of range; expected between 0 and source_detector_mm, 1000",
+        ),
+        ({"pincushion": -0.2}, r"pincushion: -0.2 is out of range; expected more than -0\.067, at most 0.5"),
     ],
 )
 def test_bad_values_are_refused(changes, text):
-    with pytest.raises(ValueError, match=text):
+    with pytest.raises(InputError, match=text):
         Detector(**changes)
 
 

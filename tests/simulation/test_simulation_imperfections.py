@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from screwpose.errors import InputError
+from screwpose.errors import InputError, ScrewposeError
 from screwpose.simulation import Imperfections, SceneOptions, ScenePlan, plan_scene
 
 SEED = 3
@@ -199,3 +199,23 @@ def test_a_given_mesh_cannot_be_another_one(exact: ScenePlan) -> None:
     implant = exact.screws[0].implant
     with pytest.raises(InputError, match=r"cad_length_mm: a CAD mismatch for the given mesh"):
         plan_scene(SceneOptions(), replace(EXACT, cad_length_mm=5.0), SEED, designs=[implant, implant])
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_marks_that_a_dial_drives_out_of_the_image_are_missing_and_no_others(seed: int) -> None:
+    options = SceneOptions(
+        screws=(12, 12), levels=(6, 8), designs=(1, 3), overlap_lat=(0.0, 1.0), image_size=(128, 128)
+    )
+    plan = plan_scene(options, replace(EXACT, motion_mm=100.0), seed)
+    assert {(mark.view, mark.why) for mark in plan.missing} == {("LAT", "outside the field")}
+    for mark in plan.missing:
+        points = plan.true_cameras["LAT"].project(plan.screws[mark.screw].landmarks_in_world_mm)
+        assert not ((points >= 0.0) & (points <= 127.0)).all()
+
+
+def test_a_dial_that_leaves_too_few_marks_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("screwpose.simulation.arrangement._ATTEMPTS", 12)
+    with pytest.raises(ScrewposeError, match=r"in 12 attempts: tips or centres are out of the field \("):
+        plan_scene(
+            SceneOptions(image_size=(128, 128), detector_mm=40.0), replace(EXACT, tip_bias_mm=-20.0, motion_mm=100.0), 1
+        )

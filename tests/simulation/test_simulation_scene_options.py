@@ -216,6 +216,7 @@ def test_sixteen_screws_over_eight_levels_and_one_alone() -> None:
         ({"angle_deg": (100.0, 90.0)}, r"angle_deg: 100 to 90 is no range for this"),
         ({"screws": (12, 12)}, r"levels: 12 screws over 1 to 2 levels; expected one or two screws on each level"),
         ({"tower_tilt_deg": (5.0, 5.0)}, r"tower_tilt_deg: towers that lean by 5 degrees on monoaxial screws"),
+        ({"missing": (2, 2)}, r"missing: 2 marks missing of 2 screws; expected at most 1, so that two pairs are left"),
         ({"screws": (3, 3), "levels": (2, 2), "max_epipolar_gap_px": 2.0}, r"epipolar gap for 3 screws; expected two"),
     ],
 )

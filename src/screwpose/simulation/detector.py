@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from screwpose._types import BoolArray, FloatArray
+from screwpose.errors import InputError
 from screwpose.simulation.detector_blur import blurred, penumbra_mm, with_screen_correlation
 from screwpose.simulation.detector_display import Display, quantised, round_field, toned, windowed
 from screwpose.simulation.detector_scatter import scatter_to_primary, scattered, with_glare
@@ -65,6 +66,11 @@ class Detector:
     blades_px : collimator blades: each (distance, angle in rad) shadows what lies further than that from the image's
         centre, in that direction; 0 is to the right, pi / 2 down.
     pincushion, s_distortion_rad : see `screwpose.simulation.distortion`.
+
+    Raises
+    ------
+    InputError
+        A value that no detector has; names the field.
     """
 
     image_size: tuple[int, int] = (1024, 1024)
@@ -148,7 +154,7 @@ class Detector:
 
 def _require(holds: bool, name: str, value: float | None, expected: str) -> None:
     if not holds:
-        raise ValueError(f"{name} {value:g}: expected {expected}")
+        raise InputError(f"{value:g} is out of range", field=name, expected=expected)
 
 
 def detector_bins(detector: Detector) -> EnergyBins:

@@ -33,9 +33,8 @@ from screwpose.simulation.scenes_marks import (
     marked_px,
     marks_hidden,
     marks_outside,
-    most_missing,
 )
-from screwpose.simulation.scenes_options import SceneOptions
+from screwpose.simulation.scenes_options import SceneOptions, most_missing
 from screwpose.simulation.streams import stream
 from screwpose.simulation.xray import Body, SimulatedXray, render_views
 
@@ -236,6 +235,7 @@ def plan_scene(
         draft.refusal,
     )
     marked = draft.of(arrangement)
+    assert marked.outside is not None  # `refusal` has seen to that
     covered = {view: covered_shares(marked.nominal[view], arrangement.screws) for view in VIEWS}
     missing = [*marked.outside, *marks_hidden(covered, marked.outside, draft.count_missing)]
     names = [model.name for model in models]
@@ -262,13 +262,13 @@ def plan_scene(
 
 @dataclass(frozen=True, eq=False)
 class _Marked:
-    """An arrangement with what its case would hold."""
+    """An arrangement with what its case would hold; `outside` is None where too many marks would be missing."""
 
     nominal: Mapping[str, Camera]
     true: Mapping[str, Camera]
     reported: Mapping[str, Camera]
     marks: Mapping[str, FloatArray]
-    outside: list[MissingMark]
+    outside: list[MissingMark] | None
 
 
 class _Draft:
@@ -305,7 +305,7 @@ class _Draft:
         )
         # What a dial drives out of the image cannot be marked either.
         seen = {v: arrangement.in_field[v] & is_inside(marks[v], self.options.image_size) for v in VIEWS}
-        outside = marks_outside(seen, 2 * len(arrangement.screws)) or []
+        outside = marks_outside(seen, most_missing(len(arrangement.screws)))
         return _Marked(arrangement.cameras, true, reported_cameras(*given), marks, outside)
 
     def refusal(self, arrangement: Arrangement) -> str | None:
@@ -313,8 +313,10 @@ class _Draft:
         options = self.options
         if marks_outside(arrangement.in_field, self.count_missing) is None:
             return OUT_OF_FIELD
+        marked = self.of(arrangement)
+        if marked.outside is None:
+            return OUT_OF_FIELD
         if options.max_epipolar_gap_px is not None:
-            marked = self.of(arrangement)
             margin = epipolar_margin_px(marked.reported, marked.marks, range(len(arrangement.screws)))
             if margin is None or abs(margin) >= options.max_epipolar_gap_px:
                 return f"swapped labels change the epipolar distance by {options.max_epipolar_gap_px:g} px or more"
@@ -323,8 +325,8 @@ class _Draft:
         covered = {"LAT": covered_shares(arrangement.cameras["LAT"], arrangement.screws)}
         if not options.overlap_lat[0] <= float(covered["LAT"].max()) <= options.overlap_lat[1]:
             return "the overlap in LAT is not the one asked for"
-        outside = self.of(arrangement).outside
-        if len(outside) + len(marks_hidden(covered, outside, self.count_missing)) < self.least_missing:
+        hidden = marks_hidden(covered, marked.outside, self.count_missing)
+        if len(marked.outside) + len(hidden) < self.least_missing:
             return "not enough marks are missing"
         return None
 

@@ -84,11 +84,6 @@ def epipolar_margin_px(
     return min(margins, key=abs, default=None)
 
 
-def most_missing(screws: int) -> int:
-    """How many marks may be missing so that two pairs are left, or one of two screws."""
-    return screws - max(1, min(2, screws - 1))
-
-
 def marks_outside(in_field: Mapping[str, BoolArray], count: int) -> list[MissingMark] | None:
     """The marks outside the field; None where they are more than `count`, or a screw's in both views.
 
@@ -113,7 +108,7 @@ def marks_hidden(covered: Mapping[str, FloatArray], outside: Sequence[MissingMar
     gone = {mark.screw for mark in outside}
     most_first = np.argsort(-covered["LAT"], kind="stable")
     others = [int(i) for i in most_first if int(i) not in gone and covered["LAT"][i] >= _HIDING]
-    return [MissingMark(i, "LAT", HIDDEN) for i in others[: count - len(outside)]]
+    return [MissingMark(i, "LAT", HIDDEN) for i in others[: max(count - len(outside), 0)]]
 
 
 def annotated(

@@ -91,6 +91,12 @@ class SceneOptions:
                 field="levels",
                 expected="one or two screws on each level",
             )
+        if self.missing[0] > most_missing(self.screws[1]):
+            raise InputError(
+                f"{_shown(self.missing)} marks missing of {_shown(self.screws)} screws",
+                field="missing",
+                expected=f"at most {most_missing(self.screws[1])}, so that two pairs are left, or one of two screws",
+            )
         if self.max_epipolar_gap_px is not None and self.screws != (2, 2):
             raise InputError(
                 f"a bound on the epipolar gap for {_shown(self.screws)} screws",
@@ -103,6 +109,11 @@ class SceneOptions:
                 field="tower_tilt_deg",
                 remedy="Set polyaxial, or leave the tilt at 0.",
             )
+
+
+def most_missing(screws: int) -> int:
+    """How many marks may be missing so that two pairs are left, or one of two screws."""
+    return screws - max(1, min(2, screws - 1))
 
 
 _BOUNDS: dict[str, Range] = {
