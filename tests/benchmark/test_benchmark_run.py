@@ -189,6 +189,7 @@ def test_what_every_case_would_end_by_stops_the_run(
     with pytest.raises(type(error), match=str(error)):
         run_bench(asked, tmp_path / "run")
     assert len(records_in(tmp_path / "run")) == 2  # of the case before
+    assert (tmp_path / "run" / "run.json").is_file()
     run = run_bench(made_set(monkeypatch, own), tmp_path / "run", resume=True)
     assert (len(run.records), run.failed) == (6, [])
 

@@ -95,6 +95,8 @@ def on_scheduler(tasks: list[CaseTask], address: str, forecast: Forecast) -> Wor
     distributed = import_module("distributed")
     with _quiet_logs():
         try:
+            # A client of no address at all would be ten seconds in closing, and not in silence.
+            distributed.comm.get_address_host_port(address)
             client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(

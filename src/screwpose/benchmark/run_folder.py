@@ -19,7 +19,7 @@ from pathlib import Path
 from screwpose.benchmark.record import CaseRecord, read_record, write_record
 from screwpose.benchmark.request import RUN_FILE, BenchRequest, read_request
 from screwpose.benchmark.tasks import CaseTask, MethodOutcome, case_name
-from screwpose.errors import CaseError, OutputError
+from screwpose.errors import CaseError, InputError, OutputError
 from screwpose.files.atomic import atomic_folder, ensure_can_write_folder, write_bytes, write_json
 from screwpose.files.result import write_result
 
@@ -103,6 +103,10 @@ def opened(path: Path, request: BenchRequest, resume: bool) -> Iterator[RunFolde
         The folder cannot be written, holds something else, another request's run, or a run while not to be resumed.
     CaseError
         Its run.json cannot be used.
+
+    Notes
+    -----
+    A folder that was begun here is taken back where an `InputError` ends the run before its first record.
     """
     stored = stored_request(path)
     if stored is not None:
@@ -122,7 +126,20 @@ def opened(path: Path, request: BenchRequest, resume: bool) -> Iterator[RunFolde
         else:
             _remove_partials(path)
         done, notes = _found(path, stored or request)
-        yield RunFolder(path, stored or request, done, tuple(notes))
+        folder = RunFolder(path, stored or request, done, tuple(notes))
+        try:
+            yield folder
+        except InputError:
+            if stored is None and not folder.done:
+                _take_back(path)
+            raise
+
+
+def _take_back(path: Path) -> None:
+    """What was asked for cannot be done: leave the folder free for what is asked for next."""
+    with contextlib.suppress(OSError):
+        (path / RUN_FILE).unlink()
+        path.rmdir()
 
 
 def stored_request(path: Path) -> BenchRequest | None:
