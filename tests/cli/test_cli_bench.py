@@ -127,6 +127,8 @@ def test_a_half_written_record_is_said(own: Path) -> None:
         (["--cases", "phantoms", "--workers", "2", "--scheduler", "tcp://x:1"], 3, "both --workers and --scheduler"),
         (["--cases", "phantoms", "--baseline", "none.json"], 3, "none.json: there is no such file"),
         (["--cases", "phantoms", "--faces", "7"], 3, "--faces: a model of 7 triangles is no screw"),
+        (["--landmark-sigma", "inf"], 2, "Invalid value for '?--landmark-sigma'?"),
+        (["--max-shift", "inf"], 2, "Invalid value for '?--max-shift'?"),
         (["--count", "0"], 2, "Invalid value for '?--count'?"),
         (["--workers", "0"], 2, "Invalid value for '?--workers'?"),
     ],

@@ -59,12 +59,16 @@ RefinementOption = Annotated[
 Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
 Generations = Annotated[int, typer.Option(min=0, help="Generations of the differential evolution; 0: do not register.")]
 Population = Annotated[int, typer.Option(min=1, help="Its population, for each degree of freedom.")]
-MaxShift = Annotated[float, typer.Option(min=0.01, help="How far the search may move a screw along each axis, mm.")]
+MaxShift = Annotated[
+    float, typer.Option(min=0.01, max=100, help="How far the search may move a screw along each axis, mm.")
+]
 MaxTilt = Annotated[float, typer.Option(min=0.01, max=90, help="How far it may tilt it, degrees.")]
 MaxRoll = Annotated[float, typer.Option(min=0.01, max=180, help="How far it may turn it about its axis, degrees.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same answer.")]
 ImageSize = Annotated[int, typer.Option(min=128, max=4096, help="Width and height of the images, px.")]
-SigmaPx = Annotated[float, typer.Option(min=0.01, help="How exactly landmarks were marked, px (standard deviation).")]
+SigmaPx = Annotated[
+    float, typer.Option(min=0.01, max=1000, help="How exactly landmarks were marked, px (standard deviation).")
+]
 
 
 def check_faces(faces: int) -> None:
