@@ -55,6 +55,8 @@ def test_everything_is_counted() -> None:
     assert tips.median.low <= 0.35 <= tips.median.high
     assert found.errors["roll_deg"].median.value == pytest.approx(0.35)  # without its sign
     assert found.bias["roll_deg"].value == pytest.approx(-0.5)  # with it
+    assert found.seconds is not None
+    assert found.seconds.count == 4  # the failed case took no time to solve
 
 
 def test_a_harmless_swap_is_not_sure_and_wrong() -> None:

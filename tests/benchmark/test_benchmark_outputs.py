@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 from screwpose.benchmark.gate import read_baseline
+from screwpose.benchmark.measures_file import Estimate
 from screwpose.benchmark.outputs import write_outputs
 from screwpose.benchmark.page_worst import draw_worst, worst_records
 from screwpose.benchmark.record import CaseRecord, failed_case
 from screwpose.benchmark.sets_base import BenchmarkSet
 from screwpose.benchmark.summary import measures_file
+from screwpose.benchmark.tables import accuracy_table, figure, paper_tables
 from screwpose.errors import ImageError
 from screwpose.files.atomic import write_json
 from screwpose.files.result import Result, read_summary, write_result
@@ -60,7 +62,9 @@ def records_in(folder: Path, answers: dict[int, Result]) -> list[CaseRecord]:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    (folder / "run.json").write_text('{"started": "2026-11-22T12:00:00+00:00"}')
+    (folder / "run.json").write_text(
+        '{"started": "2026-11-22T12:00:00+00:00", "options": {"faces": 1000, "generations": 4}}'
+    )
     paths = write_outputs(folder, records_in(folder, ANSWERS), SETS)
     assert all(path.is_file() for path in paths)
     return folder
@@ -120,6 +124,8 @@ def test_the_page_holds_all_and_fetches_nothing(run: Path) -> None:
     assert "&lt;script&gt;alert(1)&lt;/script&gt; is not closed" in html
     assert "Traceback" not in html
     assert "the marks contradict each other" in html
+    assert "Not with the usual options: generations 4." in html
+    assert "hand-0003 (by-hand)" in html
     assert html.count('class="answered"') == 12  # two methods, two views, one screw of case 0 and two of case 1
     assert not re.search(r"url\((?!#)", html)
     for title in ("Tip error", "Axis error", "Time against number of screws", "Calibration of the probabilities"):
@@ -152,6 +158,7 @@ def test_the_worst_are_drawn_where_they_differ(tmp_path: Path) -> None:
     [record] = records_in(tmp_path, {0: ANSWERS[0]})[:1]
     [worst] = draw_worst(tmp_path, {"ours": [record]}, SETS)["ours"]
     assert worst.problem is None
+    assert worst.numbers.startswith("case by-hand; 2 of 2 pairs right; ")
     assert "1/b: tip 0.50 mm" in worst.numbers
     ap = worst.pictures[0]
     # The first bar alone is off. Its shank's middle is drawn at (-12, 15) mm, 5 px a mm, from (200, 200).
@@ -178,6 +185,40 @@ def test_a_case_that_cannot_be_made_again_does_not_cost_the_page(tmp_path: Path)
         sets = {"hand": BenchmarkSet("hand", 1, made, None, "", "")}
         [worst] = draw_worst(tmp_path, {"ours": [record]}, sets)["ours"]
         assert (worst.problem, worst.pictures) == (words, ())
+
+
+def test_cases_of_one_id_keep_their_own_truth(tmp_path: Path) -> None:
+    swapped = truth_of(labels=SWAPPED)
+    records = [record_of(result_of(), index=0), record_of(result_of(), swapped, index=1)]
+    for record in records:
+        place = tmp_path / "results" / record.method / f"hand-{record.index:04d}"
+        place.mkdir(parents=True)
+        write_result(place, result_of().answer)
+    assert {record.case for record in records} == {"by-hand"}
+    _, table = paper_tables(tmp_path, records)
+    cells = [(row[0], [cell for cell in row if cell in ("correct", "wrong")]) for row in table.cells()]
+    assert cells == [
+        ("by-hand (0)", ["correct"]),
+        ("by-hand (0)", ["wrong"]),
+        ("by-hand (1)", ["wrong"]),
+        ("by-hand (1)", ["correct"]),
+    ]
+
+
+def test_columns_that_no_method_fills_are_left_out() -> None:
+    def columns(record: CaseRecord) -> list[str]:
+        table = accuracy_table(measures_file([record], seed=3, started="then"))
+        assert all(len(row) == len(table.columns) for row in table.rows)
+        return [column.key for column in table.columns][-3:]
+
+    assert columns(record_of(result_of(sigma_mm=1.0))) == ["coverage", "calibration", "seconds"]
+    assert columns(record_of()) == ["roll_deg_max", "calibration", "seconds"]
+    assert columns(plain_record(0, (0.1,))) == ["roll_deg_p90", "roll_deg_max", "seconds"]
+
+
+def test_one_case_alone_has_no_interval() -> None:
+    assert figure(Estimate(value=1.5, low=1.5, high=1.5)) == "1.5"
+    assert figure(Estimate(value=1.5, low=1.25, high=1.75)) == "1.5 (1.25-1.75)"
 
 
 def test_a_run_without_a_single_answer_has_a_page(tmp_path: Path) -> None:

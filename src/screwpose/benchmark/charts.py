@@ -177,12 +177,13 @@ def _calibration(name: str, measures: SetMeasures, styles: Mapping[str, dict[str
 
 
 def _times(name: str, methods: Methods, styles: Mapping[str, dict[str, Any]]) -> Chart | None:
-    numbers = sorted({len(record.screws) for records in methods.values() for record in records if record.screws})
+    solved = {method: [one for one in records if one.error is None] for method, records in methods.items()}
+    numbers = sorted({len(record.screws) for records in solved.values() for record in records if record.screws})
     if not numbers:
         return None
 
     def draw(axes: "Axes") -> None:
-        for shift, (method, records) in zip(_shifts(len(methods)), methods.items(), strict=True):
+        for shift, (method, records) in zip(_shifts(len(solved)), solved.items(), strict=True):
             x, middle, low, high = [], [], [], []
             for number in numbers:
                 seconds = [one.seconds for one in records if len(one.screws) == number]

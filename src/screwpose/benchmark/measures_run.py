@@ -69,7 +69,8 @@ def measures_of(records: Sequence[CaseRecord]) -> MethodMeasures:
         stages=distributions(_stages(records)),
         coverage=_coverage(records),
         calibration=calibration_of(records),
-        seconds=distribution([(index, record.seconds) for index, record in enumerate(records)]),
+        # A case that could not be computed took no time to solve.
+        seconds=distribution([(index, one.seconds) for index, one in enumerate(records) if one.error is None]),
         steps=distributions(_steps(records)),
         strata={name: strata_bins(records, value, edges) for name, (value, edges) in STRATA.items()},
         offsets=offset_bins(records),

@@ -68,14 +68,28 @@ def write_outputs(
         write_json(folder / "measures.json", measures),
         write_json(folder / "summary.json", summary),
     ]
-    html = page(folder, ordered, sets, measures, summary, worsened, worst)
+    html = page(folder, ordered, sets, measures, summary, worsened, worst, _unusual_options(folder))
     return [*paths, write_text(folder / "report.html", html)]
+
+
+def _asked(folder: Path, key: str) -> object:
+    """What run.json has; None where it has not, or is not there."""
+    asked = read_json(folder / "run.json") if (folder / "run.json").is_file() else {}
+    return asked.get(key) if isinstance(asked, dict) else None
+
+
+def _unusual_options(folder: Path) -> list[str]:
+    """The options of run.json that differ from what a run has by itself, as in ``generations 4``."""
+    from screwpose.benchmark.request import AskedOptions
+
+    asked, usual = _asked(folder, "options"), AskedOptions().model_dump()
+    given = asked if isinstance(asked, dict) else {}
+    return [f"{name} {given[name]}" for name, value in usual.items() if name in given and given[name] != value]
 
 
 def _started(folder: Path) -> str:
     """When the run began, by its run.json; now where there is none."""
-    asked = read_json(folder / "run.json") if (folder / "run.json").is_file() else {}
-    started = asked.get("started") if isinstance(asked, dict) else None
+    started = _asked(folder, "started")
     return started if isinstance(started, str) else datetime.now(UTC).isoformat(timespec="seconds")
 
 

@@ -27,6 +27,7 @@ def page(
     summary: SummaryFile,
     worsened: Sequence[str] | None = None,
     worst: int = WORST,
+    unusual: Sequence[str] = (),
 ) -> str:
     """The page.
 
@@ -35,6 +36,7 @@ def page(
     folder : of the run, where results (and kept cases) are.
     worsened : what became worse against a baseline, in words; None where there is none to compare with.
     worst : so many of the worst cases are drawn for each method.
+    unusual : the options that the methods ran with and that are not the usual ones, in words.
     """
     import jinja2
     from markupsafe import Markup
@@ -53,6 +55,7 @@ def page(
     return template.render(
         measures=measures,
         disclaimer=DISCLAIMER,
+        unusual=unusual,
         # Ours, not a case's: taken as they are.
         style=Markup(house + (own / "bench.css").read_text(encoding="utf-8")),
         headline=tables.headline_table(measures),
@@ -89,7 +92,7 @@ def _set(
 def _refusal(record: CaseRecord) -> dict[str, str]:
     text = record.error or "; ".join(record.reasons) or "no reason was given"
     return {
-        "case": f"{record.set}-{record.index:04d}",
+        "case": f"{record.set}-{record.index:04d} ({record.case})",
         "method": record.method,
         "kind": "failed" if record.error is not None else "refused",
         # What a bug left behind has its place in the record, not here.

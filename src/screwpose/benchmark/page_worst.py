@@ -139,7 +139,7 @@ def _verdict(record: CaseRecord) -> str:
 
 
 def _numbers(record: CaseRecord) -> str:
-    texts = [f"{record.pairs_right} of {record.pairs_true} pairs right"]
+    texts = [f"case {record.case}", f"{record.pairs_right} of {record.pairs_true} pairs right"]
     if record.probability is not None:
         texts.append(f"p {record.probability:.3f}")
     for screw in sorted(record.screws, key=_tip_mm, reverse=True)[:_MAX_SCREWS]:

@@ -1,5 +1,6 @@
 """The tables of a run, for people: Markdown, CSV and the page are made of them."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -55,9 +56,11 @@ def percent(rate: Rate | None) -> str | None:
 
 
 def figure(estimate: Estimate | None) -> str | None:
-    """A figure with its interval, as in ``0.41 (0.38-0.45)``."""
+    """A figure with its interval, as in ``0.41 (0.38-0.45)``; alone where resampling cannot move it, as of one case."""
     if estimate is None:
         return None
+    if estimate.low == estimate.high:
+        return f"{estimate.value:.3g}"
     if min(estimate.low, estimate.value) < 0:
         return f"{estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
     return f"{estimate.value:.3g} ({estimate.low:.3g}-{estimate.high:.3g})"
@@ -104,7 +107,13 @@ def accuracy_table(measures: MeasuresFile) -> Table:
         ]
         rows.append(tuple(row))
     title = "Accuracy of the screws that are paired right"
-    return Table(title, tuple(columns), tuple(rows))
+    table = Table(title, tuple(columns), tuple(rows))
+    empty = [
+        column.key
+        for place, column in enumerate(columns)
+        if column.key in ("coverage", "calibration") and all(row[place] is None for row in rows)
+    ]
+    return table.without(*empty)
 
 
 def distribution_table(title: str, found: dict[str, Distribution], titles: dict[str, str]) -> Table:
@@ -184,13 +193,16 @@ def ratio_table(summary: SummaryFile) -> Table:
 
 def paper_tables(folder: Path, records: Sequence[CaseRecord]) -> tuple[Table, Table]:
     """Tables 1 and 2 of the paper for one set and method, from the results that stand in the run's folder."""
+    # People copy case files with their id: two cases of one name are two cases.
+    known = Counter(record.case for record in records)
+    names = [one.case if known[one.case] == 1 else f"{one.case} ({one.index})" for one in records]
     answers = []
-    for record in records:
+    for name, record in zip(names, records, strict=True):
         try:
-            answers.append(read_result(result_file(folder, record)))
+            answers.append(read_result(result_file(folder, record)).model_copy(update={"case": name}))
         except CaseError:  # a case that could not be computed has left none; it is listed among the failed
             continue
-    true_pairs = {record.case: record.true_pairs for record in records}
+    true_pairs = {name: record.true_pairs for name, record in zip(names, records, strict=True)}
     return pairing_table(answers, true_pairs), combination_table(answers, true_pairs)
 
 
