@@ -1,6 +1,7 @@
 """`screwpose simulate`: cases of sets, dials, and what is refused."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,11 @@ from typer.testing import CliRunner
 
 from screwpose.benchmark import sets as benchmark_sets
 from screwpose.benchmark.sets_base import BenchmarkSet
+from screwpose.cli import making
 from screwpose.cli.commands import app
 from screwpose.cli.terminal import BAD_INPUT
 from screwpose.files.schema import CaseFile, TruthFile
+from screwpose.simulation import Imperfections
 
 
 def program(*words: str) -> tuple[int, str]:
@@ -33,6 +36,15 @@ def test_dials_reach_the_case(tmp_path: Path) -> None:
     assert [screw["tower_tilt_deg"] for screw in scene["screws"]] == [6.0] * 3
     assert scene["imperfections"]["rotation_error_deg"] == 1.5
     assert scene["imperfections"]["landmark_noise_px"] == 0.0
+
+
+def test_every_imperfection_has_its_option(tmp_path: Path) -> None:
+    dials = {field.name: 0.01 * (number + 1) for number, field in enumerate(fields(Imperfections))}
+    assert sorted(making._DIALS.values()) == sorted(dials)
+    words = [f"--{option.replace('_', '-')}={dials[dial]}" for option, dial in making._DIALS.items()]
+    code, text = program("-o", str(tmp_path / "made"), "--size", "128", "--seed", "2", "-q", *words)
+    assert (code, text) == (0, "")
+    assert json.loads((tmp_path / "made" / "scene.json").read_text())["imperfections"] == dials
 
 
 def test_a_case_of_a_set_is_the_sets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,6 +73,8 @@ def test_a_case_of_a_set_is_the_sets(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ("--set other", "the set `other` needs other people's screws and spines, and SCREWPOSE_DATA is not set"),
         ("--index 3", "--index: case 3 of no set. Add --set NAME, or use --seed."),
         ("--angle 5", "--angle: 5 is no range for this; expected from 20 to 160"),
+        ("--missing 5", "--missing: 5 marks missing of 2 screws; expected at most 1, so that two pairs are left"),
+        ("--pincushion -0.08", "--pincushion: -0.08 is out of range; expected more than -0.067, at most 0.5"),
         ("--cad-length-error 100", "--cad-length-error: 100 is out of range; expected from -15 to 15"),
     ],
 )

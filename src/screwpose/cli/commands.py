@@ -1,5 +1,6 @@
 """The front door: each command parses, calls the library, and prints."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -163,11 +164,20 @@ def simulate(
     landmark_noise: Annotated[
         float | None, typer.Option(min=0.0, help="Noise of the landmarks, px.", show_default="1.5")
     ] = None,
+    tip_bias: Annotated[float | None, typer.Option(help="Tips are marked this far towards the head, mm.")] = None,
+    center_bias: Annotated[float | None, typer.Option(help="And centres, mm.")] = None,
     focal_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: focal length, %.")] = None,
+    principal_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: principal point, px.")] = None,
     rotation_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: LAT turned, degrees.")] = None,
     translation_error: Annotated[float | None, typer.Option(min=0.0, help="Error of P: LAT moved, mm.")] = None,
+    pincushion: Annotated[
+        float | None, typer.Option(help="Pincushion: share of the radius, at half the image's side.")
+    ] = None,
+    s_distortion: Annotated[float | None, typer.Option(help="S distortion: turn at half the side, degrees.")] = None,
     cad_length_error: Annotated[float | None, typer.Option(help="The given CAD is longer by this, mm.")] = None,
+    cad_diameter_error: Annotated[float | None, typer.Option(help="And thicker by this, mm.")] = None,
     motion: Annotated[float | None, typer.Option(min=0.0, help="The patient moves before LAT, mm.")] = None,
+    motion_turn: Annotated[float | None, typer.Option(min=0.0, help="And turns, degrees.")] = None,
     size: Annotated[
         int | None, typer.Option(min=128, max=4096, help="Width and height of the images, px.", show_default="1024")
     ] = None,
@@ -187,11 +197,18 @@ def simulate(
         "missing": missing,
         "needles": needles or None,
         "landmark_noise": landmark_noise,
+        "tip_bias": tip_bias,
+        "center_bias": center_bias,
         "focal_error": focal_error,
+        "principal_error": principal_error,
         "rotation_error": rotation_error,
         "translation_error": translation_error,
+        "pincushion": pincushion,
+        "s_distortion": s_distortion,
         "cad_length_error": cad_length_error,
+        "cad_diameter_error": cad_diameter_error,
         "motion": motion,
+        "motion_turn": motion_turn,
         "size": size,
     }
     if set_name is None and index:
@@ -203,7 +220,8 @@ def simulate(
     if as_json:
         say_json({"case": str(path), "truth": str(path.parent / "truth.json")})
     elif not quiet:
-        typer.echo(f"{path}\nSolve it with: screwpose solve {out} -o {out.name}-solved")
+        command = shlex.join(["screwpose", "solve", str(out), "-o", f"{out.name}-solved"])
+        typer.echo(f"{path}\nSolve it with: {command}")
 
 
 app.command()(bench)

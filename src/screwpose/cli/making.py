@@ -65,11 +65,18 @@ def make_scene(out: Path, seed: int, dials: dict[str, Any]) -> Path:
 
 _DIALS = {
     "landmark_noise": "landmark_noise_px",
+    "tip_bias": "tip_bias_mm",
+    "center_bias": "center_bias_mm",
     "focal_error": "focal_error_percent",
+    "principal_error": "principal_error_px",
     "rotation_error": "rotation_error_deg",
     "translation_error": "translation_error_mm",
+    "pincushion": "pincushion",
+    "s_distortion": "s_distortion_deg",
     "cad_length_error": "cad_length_mm",
+    "cad_diameter_error": "cad_diameter_mm",
     "motion": "motion_mm",
+    "motion_turn": "motion_deg",
 }
 _RANGES = {
     "angle": "angle_deg",
