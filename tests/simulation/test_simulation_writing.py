@@ -81,9 +81,16 @@ def test_a_case_is_written_over_by_a_case_only(simulated, tmp_path):
     thesis = tmp_path / "thesis"
     thesis.mkdir()
     (thesis / "chapter1.txt").write_text("years of work")
-    with pytest.raises(OutputError, match=r"thesis: the folder is not empty and holds no truth\.json"):
+    with pytest.raises(OutputError, match=r"thesis: the folder is not empty and holds no scene\.json"):
         write_case(simulated, thesis)
     assert (thesis / "chapter1.txt").read_text() == "years of work"
+    # Somebody's own case with its measured truth is not ours to replace.
+    own = tmp_path / "own"
+    own.mkdir()
+    for name in ("case.json", "truth.json"):
+        (own / name).write_bytes((folder / name).read_bytes())
+    with pytest.raises(OutputError, match=r"own: the folder is not empty and holds no scene\.json"):
+        write_case(simulated, own)
 
 
 def test_polyaxial_screws_have_parts_a_pivot_and_leaning_truth(tmp_path):

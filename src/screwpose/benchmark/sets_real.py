@@ -42,6 +42,7 @@ def landmarks_of_no_screw(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
 def _make_real(seed: int, index: int, folder: Path) -> Path:
     """One pair of the real biplane study: a femoral implant whose pose an expert has found."""
     from screwpose.implants.mesh import read_mesh
+    from screwpose.simulation.scenes_record import SCENE_FILE
 
     source = biplane_folder()
     pair = _biplane_pairs(source)[index]
@@ -50,7 +51,9 @@ def _make_real(seed: int, index: int, folder: Path) -> Path:
     pose = np.array(pair["femur_world_from_cad"])
     rng = np.random.default_rng(case_seed("real", seed, index))
     views, annotations = {}, {}
-    with atomic_folder(folder, marker="truth.json") as partial:
+    with atomic_folder(folder, marker=SCENE_FILE) as partial:
+        asked = {"set": "real", "set_version": REAL.version, "set_seed": seed, "index": index}
+        write_json(partial / SCENE_FILE, asked)
         shutil.copyfile(source / "femur0.stl", partial / "femur0.stl")
         for name, view in pair["views"].items():
             image = Path(view["image"])

@@ -187,6 +187,7 @@ def simulate(
     """Make a case with its truth: two screws with towers seen in AP and LAT, or what the options say."""
     from screwpose.cli.making import make_case_of_set, make_scene
     from screwpose.files.atomic import ensure_can_write_folder
+    from screwpose.simulation.scenes_record import SCENE_FILE
 
     dials = {
         "screws": screws,
@@ -213,7 +214,7 @@ def simulate(
     }
     if set_name is None and index:
         raise InputError(f"case {index} of no set", field="--index", remedy="Add --set NAME, or use --seed.")
-    ensure_can_write_folder(out, marker="truth.json")
+    ensure_can_write_folder(out, marker=SCENE_FILE)
     with shown_progress(quiet or as_json) as progress:
         progress(0.0, "X-raying a simulated patient")
         path = make_scene(out, seed, dials) if set_name is None else make_case_of_set(out, set_name, seed, index, dials)

@@ -9,6 +9,8 @@ from screwpose.simulation.scenes_bodies import clutter_count, metal_of
 from screwpose.simulation.scenes_marks import VIEWS
 
 SCENE_FORMAT = "screwpose-scene/1"
+# A case that was made is known by it, and replaced. One with truth.json alone may be somebody's own measurement.
+SCENE_FILE = "scene.json"
 
 
 def scene_record(plan: ScenePlan) -> dict[str, Any]:

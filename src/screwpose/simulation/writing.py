@@ -21,7 +21,7 @@ from screwpose.images.encoding import encode_png
 from screwpose.implants.mesh import write_stl
 from screwpose.implants.model import Implant
 from screwpose.simulation.scenes import SimulatedCase
-from screwpose.simulation.scenes_record import scene_record
+from screwpose.simulation.scenes_record import SCENE_FILE, scene_record
 
 _NEEDLES_WORDS = (
     "Each acquisition repeats the X-rays of the case with a needle along the tower of one screw. Where it is in "
@@ -49,8 +49,7 @@ def write_case(simulated: SimulatedCase, folder: str | Path, more: Mapping[str, 
     OutputError
         The folder cannot be written, or holds something that is no case.
     """
-    # Known by its truth: a folder with a case alone is somebody's own, and must not be replaced.
-    with atomic_folder(folder, marker="truth.json") as partial:
+    with atomic_folder(folder, marker=SCENE_FILE) as partial:
         (partial / "models").mkdir()
         for name, implant in simulated.implants.items():
             write_stl(implant.mesh, partial / "models" / f"{name}.stl")
@@ -60,7 +59,7 @@ def write_case(simulated: SimulatedCase, folder: str | Path, more: Mapping[str, 
             write_bytes(partial / _image_name(name), encode_png(view.xray.pixels))
         if simulated.needles:
             _write_needles(simulated, partial)
-        write_json(partial / "scene.json", {**(more or {}), **scene_record(simulated.plan)})
+        write_json(partial / SCENE_FILE, {**(more or {}), **scene_record(simulated.plan)})
         write_json(partial / "truth.json", truth_file(simulated))
         write_json(partial / "case.json", case_file(simulated))
     return Path(folder) / "case.json"
