@@ -110,6 +110,15 @@ def test_two_answers_on_one_true_screw_are_not_harmless() -> None:
     assert not poses_agree(one, truth_of(), IMPLANTS)
 
 
+def test_every_screw_that_two_views_show_has_to_be_among_the_answered() -> None:
+    poses = (*TRUE_POSES, shifted(40.0), shifted(60.0))
+    truth = truth_of(poses, (*LABELS, {"AP": "3"}, {"AP": "4"}))
+    three = ({"AP": "1", "LAT": "a"}, {"AP": "2", "LAT": "b"}, {"AP": "3"})
+    assert poses_agree(result_of(labels=three, poses=poses[:3]).answer, truth, IMPLANTS)
+    without_the_second = (poses[0], poses[2], poses[3])
+    assert not poses_agree(result_of(labels=three, poses=without_the_second).answer, truth, IMPLANTS)
+
+
 def test_a_screw_that_nothing_was_answered_for_is_missing() -> None:
     record = record_of(result_of(labels=LABELS[:1], poses=TRUE_POSES[:1]))
     assert [one.outcome for one in record.screws] == ["right", "missing"]

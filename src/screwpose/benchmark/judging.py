@@ -249,12 +249,12 @@ def poses_agree(answer: ResultFile, truth: TruthFile, implants: Mapping[str, Imp
     shown = [screw for screw in truth.screws if len(screw.labels) > 1]
     if answer.status == "refused" or not shown or len(answer.screws) < len(shown):
         return False
-    candidates = truth.screws if len(answer.screws) > len(shown) else tuple(shown)
+    candidates = [*shown, *(screw for screw in truth.screws if len(screw.labels) < 2)]
     if len(answer.screws) > len(candidates):
         return False
     fits = np.array([[_is_same_pose(found, true, implants) for true in candidates] for found in answer.screws])
     rows, columns = linear_sum_assignment(~fits)
-    return bool(fits[rows, columns].all())
+    return bool(fits[rows, columns].all()) and set(range(len(shown))) <= set(columns.tolist())
 
 
 def _is_same_pose(found: ScrewResultFile, true: TruthScrew, implants: Mapping[str, Implant]) -> bool:

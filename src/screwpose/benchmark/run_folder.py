@@ -84,10 +84,6 @@ class RunFolder:
         keys = _keys(self.request)
         return [self.done[key] for key in keys if key in self.done]
 
-    def told_done(self) -> str:
-        """How far the run is: ``12 of 40 cases``, counted once for each method."""
-        return f"{len(self.done)} of {self.request.cases * len(self.request.methods)}"
-
 
 @contextlib.contextmanager
 def opened(path: Path, request: BenchRequest, resume: bool) -> Iterator[RunFolder]:
