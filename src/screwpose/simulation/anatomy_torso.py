@@ -26,7 +26,8 @@ from screwpose.simulation.materials import (
 
 _SKIN_MM = 2.0
 _WALL_MM = 14.0  # of muscle about the belly
-_REACH_MM = 120.0  # of the trunk beyond the spine's ends: outside the field of view
+# Of the trunk beyond the spine's ends: outside the field of view, also where a view is centred on the sacrum.
+_BELOW_MM, _ABOVE_MM = 260.0, 120.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class Trunk:
 
     def heights(self, count: int) -> FloatArray:
         """`count` heights from the trunk's lower to its upper end."""
-        return np.linspace(self.spine_mm[0, 2] - _REACH_MM, self.spine_mm[-1, 2] + _REACH_MM, count)
+        return np.linspace(self.spine_mm[0, 2] - _BELOW_MM, self.spine_mm[-1, 2] + _ABOVE_MM, count)
 
     @property
     def belly_half_mm(self) -> FloatArray:
