@@ -20,7 +20,7 @@ from screwpose.solve import SolveOptions
 BASELINE = Path(__file__).with_name("smoke_baseline.json")
 SEED = 11
 CASES = 4
-METHODS = ("paper", "epipolar")
+METHODS = ("paper", "epipolar", "default")
 OPTIONS = SolveOptions(faces=300, search=SearchOptions(generations=4, population=1))
 
 
