@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import typer.main
 
@@ -73,6 +73,8 @@ def _value(option: Any) -> str:
         return ""
     if isinstance(kind, type) and issubclass(kind, Enum):
         return " or ".join(str(choice.value) for choice in kind)
+    if get_origin(kind) is tuple:
+        return " ".join("NUMBER" for _ in get_args(kind))
     name = {"int": "INTEGER", "float": "NUMBER", "str": "TEXT"}.get(getattr(kind, "__name__", ""), "PATH")
     if info.min is not None and info.max is not None:
         return f"{name} {info.min:g} to {info.max:g}"
