@@ -340,10 +340,12 @@ def answer_of(case: CaseFolder, said: str | None, out: Path) -> dict:
 @pytest.mark.usefixtures("brief_report")
 def test_what_can_be_used_gives_the_right_answer(spoilt: CaseFolder, said: str | None, tmp_path: Path) -> None:
     answer = answer_of(spoilt, said, tmp_path / "out")
-    assert answer["status"] == "confident"
+    assert answer["pairing"]["status"] == "confident"
     truth = json.loads((spoilt.folder / "truth.json").read_text())["screws"]
     marked = {(view, mark["label"]) for view in ("AP", "LAT") for mark in spoilt.marks(view)}
     expected = [screw["labels"] for screw in truth if set(screw["labels"].items()) <= marked]
+    # A screw without a partner is in the X-rays and in no model: beside it another may be one to check.
+    assert answer["status"] == "confident" or len(expected) < len(truth)
     assert sorted(answer["pairing"]["pairs"], key=str) == sorted(expected, key=str)
 
 

@@ -126,7 +126,7 @@ def test_an_image_without_the_screws_is_not_confident(simulated: tuple[Case, Tru
     answer = solve(replace(case, views={**case.views, "LAT": empty}), QUICK).answer
     assert answer.status == "ambiguous"
     assert {screw.status for screw in answer.screws} <= {"check", "failed"}
-    assert "its outline meets no edges in LAT" in " ".join(answer.warnings)
+    assert "its model explains little of the edges in LAT" in " ".join(answer.warnings)
 
 
 def test_it_can_be_cancelled(simulated: tuple[Case, TruthFile]) -> None:

@@ -1,6 +1,6 @@
 """From scored combinations to the answer: statuses, warnings, and the result file's keys."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +48,7 @@ _SILHOUETTE_BIAS = (
 # On development cases rigid screws that came home explain 0.61 to 0.95 of the gradient energy near them in every view,
 # screws whose towers lean 3 degrees and more at most 0.47 in one of them.
 _CHECK_ENERGY = 0.5
+_FAILED_ENERGY = 0.1
 # A registered model this many sigma from a mark has left its landmark (or the landmark was wrong).
 _FAR_MARK_SIGMAS = 5.0
 
@@ -162,21 +163,10 @@ def _screws(
     screws, doubts = [], []
     for index, (hypothesis, pose) in enumerate(zip(combination.hypotheses, poses, strict=True)):
         implant = evidence.implants[hypothesis.model]
-        words = []
-        worst_view, worst = min(post[index].views.items(), key=lambda item: item[1].dice)
-        if worst.dice < _CHECK_DICE:
-            words.append(f"it covers little metal in {worst_view} (Dice {worst.dice:.2f})")
-        words += [
-            f"its outline meets no edges in {view} (loss {score.loss:.3f})"
-            for view, score in post[index].views.items()
-            if score.loss > _CHECK_LOSS
-        ]
-        if trial.quality is not None:
-            words += [
-                f"its model explains little of the edges in {view} (energy {energy:.2f})"
-                for view, energy in trial.quality.energies[index].items()
-                if energy < _CHECK_ENERGY
-            ]
+        if trial.quality is None:
+            words, has_failed = _doubts_by_silhouette(post[index])
+        else:
+            words, has_failed = _doubts_by_energy(trial.quality.energies[index])
         if trial.found is not None and trial.found.at_bound[index]:
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
@@ -190,7 +180,7 @@ def _screws(
             ScrewResultFile(
                 labels=hypothesis.by_view,
                 model=hypothesis.model,
-                status="failed" if worst.dice < _FAILED_DICE else "check" if words else "ok",
+                status="failed" if has_failed else "check" if words else "ok",
                 world_from_cad=as_pose(pose),
                 tip=as_point3(rigid.transform(pose, implant.tip_mm)),
                 center=as_point3(rigid.transform(pose, implant.center_mm)),
@@ -199,6 +189,31 @@ def _screws(
             )
         )
     return tuple(screws), doubts
+
+
+def _doubts_by_silhouette(scores: SceneScore) -> tuple[list[str], bool]:
+    """What the scores of a screw's own mask hold against it, and whether it covers nothing."""
+    worst_view, worst = min(scores.views.items(), key=lambda item: item[1].dice)
+    words = [f"it covers little metal in {worst_view} (Dice {worst.dice:.2f})"] if worst.dice < _CHECK_DICE else []
+    words += [
+        f"its outline meets no edges in {view} (loss {score.loss:.3f})"
+        for view, score in scores.views.items()
+        if score.loss > _CHECK_LOSS
+    ]
+    return words, worst.dice < _FAILED_DICE
+
+
+def _doubts_by_energy(energies: Mapping[str, float]) -> tuple[list[str], bool]:
+    """What the explained energy holds against a screw, and whether it explains nothing.
+
+    It asks the X-ray itself; the Dice score asks a segmentation, which finds little of a pale tower in bright air.
+    """
+    words = [
+        f"its model explains little of the edges in {view} (energy {energy:.2f})"
+        for view, energy in energies.items()
+        if energy < _CHECK_ENERGY
+    ]
+    return words, min(energies.values()) < _FAILED_ENERGY
 
 
 def _pairs(combination: Combination) -> tuple[dict[str, str], ...]:
