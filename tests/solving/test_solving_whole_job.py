@@ -12,6 +12,7 @@ from screwpose.files.case import Case, read_case
 from screwpose.files.findings import Finding
 from screwpose.files.schema import TruthFile
 from screwpose.files.truth import read_truth
+from screwpose.implants import Mesh
 from screwpose.pairing import LandmarkNoise
 from screwpose.registration import SearchOptions
 from screwpose.simulation.scenes import two_screw_scene
@@ -166,3 +167,22 @@ def test_a_model_that_has_left_its_marks_is_to_be_checked(
     assert answer.status == "ambiguous"
     assert {screw.status for screw in answer.screws} == {"check"}
     assert "px from its landmarks in" in " ".join(answer.warnings)
+
+
+def test_a_model_without_an_outside_is_registered_by_silhouettes_and_says_so(
+    simulated: tuple[Case, TruthFile],
+) -> None:
+    case, truth = simulated
+    turned = {name: replace(one, mesh=_half_inside_out(one.mesh)) for name, one in case.implants.items()}
+    answer = solve(replace(case, implants=turned), QUICK).answer
+    assert pairing_is_right(answer, truth)
+    assert answer.status == "ambiguous"
+    assert any("registered by silhouettes" in text and "disagree about the outside" in text for text in answer.warnings)
+    assert any("silhouette loss, which is biased" in text for text in answer.warnings)
+
+
+def _half_inside_out(mesh: Mesh) -> Mesh:
+    """Every other face turned round, and a hole: no surface that could be closed."""
+    faces = mesh.faces[:-20].copy()
+    faces[::2] = faces[::2, ::-1]
+    return Mesh(mesh.vertices_mm, faces)

@@ -113,11 +113,6 @@ def _inside(part: Window, whole: Sequence[slice]) -> Window:
     return rows, columns
 
 
-def energy(targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]) -> float:
-    """The explained share of the gradient energy, mean of the views."""
-    return energies_of_candidates(targets, bodies, poses, 0, [poses[0]])[0]
-
-
 def energies_of_each(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
 ) -> FloatArray:
