@@ -22,7 +22,7 @@ from screwpose.similarity.target import Target
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One X-ray as the kernels want it; see `kernels.measure`."""
+    """One X-ray as the kernels want it; see `bitrow_kernels.measure`."""
 
     camera: Camera
     region: BitRows
@@ -96,7 +96,7 @@ class SceneEngine:
         return EngineScores(loss, overlap)
 
     def _score(self, view: _View, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from screwpose.similarity import kernels
+        from screwpose.similarity import bitrow_kernels as kernels
 
         correlation, counts = np.zeros(len(poses)), np.zeros((len(poses), 3), dtype=np.int64)
         nearest_mm = kernels.measure_scenes(
