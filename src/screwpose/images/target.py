@@ -8,13 +8,13 @@ pale tower and a dark shank stay one piece, a spur of bone that joins them at lo
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from screwpose._types import BoolArray, ImageArray
+from screwpose.images.pieces import Cuts, Piece, best_pieces, cut_at, pieces_of
 from screwpose.images.preparation import carried_outwards, log_image, smoothed
 
 # Lengths are for an image whose longer side is 1024 px, and grow with it.
@@ -39,25 +39,6 @@ _FLOOR_NOISE = 1.5
 _LEAST_GAIN_KEPT = 0.6  # by a piece that replaces those in it
 _LEAST_MEAN_KEPT = 0.85
 _LEAST_GAIN_PX = 50.0  # steep outline that a piece must have, net of outline that is not
-
-
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """A connected piece at some level: its gain, bounding box (left, top, width, height) and mask within that box."""
-
-    gain: float
-    box: tuple[int, int, int, int]
-    mask: BoolArray
-
-
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """One level of one top-hat: filled pieces as labels, and the pixels of their outlines (flat indices)."""
-
-    labels: NDArray[np.int32]
-    boxes: NDArray[np.int32]
-    outline: NDArray[np.int64]
-    outline_label: NDArray[np.int32]
 
 
 def metal_target(pixels: ImageArray, region: BoolArray, near: BoolArray | None = None) -> BoolArray:
@@ -127,15 +108,15 @@ def _pieces_of_metal(
     small = smoothed(carried_outwards(small, inside), 0.8)
     steepness = _steepness(small) * inside
     hats = [_evened(hat, sought, unit) if hinted else hat for hat in _top_hats(small, unit)]
-    families = [list(_cuts(hat, inside, unit)) for hat in hats]
+    families = [_cuts(hat, inside, unit) for hat in hats]
     steepest = _steepest_outlines(families, steepness, sought, unit)
     metal = np.zeros(small.shape, dtype=np.bool_)
     if steepest > _LEAST_OVER_NOISE * float(np.median(steepness[sought])):
         floor = _FLOOR_SHARE * steepest + _FLOOR_NOISE * float(np.median(steepness[sought]))
         neutral = _STEEP_SHARE * (_peak_around(steepness, sought, floor, unit) if hinted else steepest)
         gain = np.minimum(steepness / neutral, _STEEP_CAP) - 1.0
-        pieces = [piece for family in families for piece in _best_pieces(family, gain)]
-        _add_pieces(metal, pieces, sought, unit)
+        pieces = [piece for family in families for piece in _best_pieces(family, gain, unit)]
+        _add_pieces(metal, pieces, sought)
     back = cv2.resize(metal.astype(np.float32), region.shape[::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(back > 0.5)
 
@@ -162,50 +143,27 @@ def _top_hats(image: NDArray[Any], unit: float) -> Iterator[NDArray[Any]]:
         yield np.maximum(image - opened, 0.0)
 
 
-def _cuts(hat: NDArray[Any], inside: BoolArray, unit: float) -> Iterator[_Cut]:
+def _cuts(hat: NDArray[Any], inside: BoolArray, unit: float) -> Cuts:
     """Cut a top-hat from its highest level to its lowest; small holes are filled."""
-    import cv2
-
     top = float(np.percentile(hat[inside], 99.95))
     lowest = max(_LEAST_LEVEL, 0.05 * top, _LEAST_OVER_NOISE * float(np.median(hat[inside])))
-    if lowest >= top:
-        return
-    largest_hole = _LARGEST_HOLE_PX2 * unit**2
-    cross = np.ones((3, 3), np.uint8)
-    for level in np.geomspace(0.97 * top, lowest, _LEVELS):
-        above = ((hat > level) & inside).astype(np.uint8)
-        _, gaps, gap_boxes, _ = cv2.connectedComponentsWithStats(1 - above, connectivity=4)
-        is_hole = gap_boxes[:, cv2.CC_STAT_AREA] <= largest_hole
-        is_hole &= ~_at_border(gaps, len(gap_boxes))
-        is_hole[0] = False
-        filled = above | is_hole[gaps].astype(np.uint8)
-        _, labels, boxes, _ = cv2.connectedComponentsWithStats(filled, connectivity=4)
-        outline = np.flatnonzero(filled != cv2.erode(filled, cross, borderValue=1))
-        yield _Cut(labels, boxes, outline, labels.ravel()[outline])
+    levels = np.geomspace(0.97 * top, lowest, _LEVELS) if lowest < top else np.zeros(0)
+    return cut_at(hat, inside, levels, _LARGEST_HOLE_PX2 * unit**2)
 
 
-def _at_border(labels: NDArray[Any], count: int) -> BoolArray:
-    rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    found = np.zeros(count, dtype=np.bool_)
-    found[rim] = True
-    return found
-
-
-def _steepest_outlines(families: list[list[_Cut]], steepness: NDArray[Any], sought: BoolArray, unit: float) -> float:
+def _steepest_outlines(families: list[Cuts], steepness: NDArray[Any], sought: BoolArray, unit: float) -> float:
     """The mean steepness that the steepest twentieth of all outlines has, by length, of pieces that lie in `sought`."""
     means, lengths = [np.zeros(0)], [np.zeros(0)]
-    for cut in (cut for family in families for cut in family):
-        count = len(cut.boxes)
-        length = np.bincount(cut.outline_label, minlength=count)
-        within = np.bincount(cut.outline_label, weights=sought.ravel()[cut.outline], minlength=count)
-        total = np.bincount(cut.outline_label, weights=steepness.ravel()[cut.outline], minlength=count)
-        counts = (length >= 60.0 * unit) & (within > 0.5 * length)
-        means.append(total[counts] / length[counts])
-        lengths.append(length[counts].astype(np.float64))
+    for cuts in families:
+        pieces = pieces_of(cuts, [steepness, sought])
+        total, within = pieces.sums.T
+        counts = (pieces.length >= 60.0 * unit) & (within > 0.5 * pieces.length)
+        means.append(total[counts] / pieces.length[counts])
+        lengths.append(pieces.length[counts].astype(np.float64))
     mean, weight = np.concatenate(means), np.concatenate(lengths)
     if len(mean) == 0:
         return 0.0
-    order = np.argsort(mean)
+    order = np.argsort(mean, kind="stable")
     share = np.cumsum(weight[order]) / weight.sum()
     return float(mean[order][np.searchsorted(share, 0.95)])
 
@@ -235,54 +193,23 @@ def _peak_around(values: NDArray[Any], sought: BoolArray, floor: float, unit: fl
     return np.maximum(peak, max(floor, 1e-6))
 
 
-def _best_pieces(family: list[_Cut], gain: NDArray[Any]) -> list[_Piece]:
-    """Choose among nested pieces, going down the levels: a piece replaces those in it while its outline stays steep.
+def _best_pieces(cuts: Cuts, gain: NDArray[Any], unit: float) -> list[Piece]:
+    """Choose among nested pieces.
 
     The outline of two dark walls is longer than that of the pale tower that they belong to, so the gain may fall by
-    some share; its mean along the outline may hardly fall, or spurs of bone would come in. Both are compared with the
-    best that was ever reached inside the piece, so that small losses do not add up.
+    some share; its mean along the outline may hardly fall, or spurs of bone would come in.
     """
-    gain = gain.ravel()
-    pieces: list[_Piece] = []
-    anchors = np.zeros(0, dtype=np.int64)  # one outline pixel of each
-    best = np.zeros((2, 0))  # per piece: gain, and length of the outline that it was reached with
-    for cut in family:
-        count = len(cut.boxes)
-        own = np.bincount(cut.outline_label, weights=gain[cut.outline], minlength=count)
-        length = np.bincount(cut.outline_label, minlength=count).astype(np.float64)
-        parent = cut.labels.ravel()[anchors]
-        inner, inner_length = (np.bincount(parent, weights=row, minlength=count) for row in best)
-        steep_enough = own * inner_length >= _LEAST_MEAN_KEPT * inner * length
-        wins = (own > 0.0) & (own >= _LEAST_GAIN_KEPT * inner) & steep_enough
-        wins[0] = False
-        better = own > inner
-        reached = np.where(better, own, inner), np.where(better, length, inner_length)
-        keep = ~wins[parent]
-        first = np.zeros(count, dtype=np.int64)
-        first[cut.outline_label[::-1]] = cut.outline[::-1]
-        winners = np.flatnonzero(wins)
-        pieces = [piece for piece, kept in zip(pieces, keep, strict=True) if kept]
-        pieces += [_cut_out(cut, int(label), float(own[label])) for label in winners]
-        anchors = np.concatenate([anchors[keep], first[winners]])
-        best = np.concatenate([best[:, keep], np.stack([row[winners] for row in reached])], axis=1)
-    return pieces
+    least_area = _LEAST_AREA_PX2 * unit**2
+    return best_pieces(cuts, gain, _LEAST_GAIN_KEPT, _LEAST_MEAN_KEPT, _LEAST_GAIN_PX * unit, least_area)
 
 
-def _cut_out(cut: _Cut, label: int, gain: float) -> _Piece:
-    left, top, width, height = (int(value) for value in cut.boxes[label][:4])
-    return _Piece(gain, (left, top, width, height), cut.labels[top : top + height, left : left + width] == label)
-
-
-def _add_pieces(metal: BoolArray, pieces: list[_Piece], sought: BoolArray, unit: float) -> None:
+def _add_pieces(metal: BoolArray, pieces: list[Piece], sought: BoolArray) -> None:
     """Add pieces, those of the greatest gain first; the radii find most of them more than once."""
+    flat_metal, flat_sought = metal.reshape(-1), sought.ravel()
     for piece in sorted(pieces, key=lambda piece: -piece.gain):
-        area = int(piece.mask.sum())
-        if piece.gain < _LEAST_GAIN_PX * unit or area < _LEAST_AREA_PX2 * unit**2:
-            continue
-        left, top, width, height = piece.box
-        part = (slice(top, top + height), slice(left, left + width))
-        if (sought[part] & piece.mask).sum() >= 0.5 * area and (metal[part] & piece.mask).sum() < 0.3 * area:
-            metal[part] |= piece.mask
+        area = len(piece.pixels)
+        if flat_sought[piece.pixels].sum() >= 0.5 * area and flat_metal[piece.pixels].sum() < 0.3 * area:
+            flat_metal[piece.pixels] = True
 
 
 def _refined(absorbed: ImageArray, metal: BoolArray, region: BoolArray, scale: float) -> BoolArray:
