@@ -41,8 +41,22 @@ def project(pixels_from_cad, vertices_mm, u, v):
     return nearest
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def set_run(bits, row, left, right):
+    """Set the bits of a row from column `left` to column `right`, both included."""
+    first_word, last_word = left >> 6, right >> 6
+    from_left, to_right = _ALL << np.uint64(left & 63), _ALL >> np.uint64(63 - (right & 63))
+    if first_word == last_word:
+        bits[row, first_word] |= from_left & to_right
+    else:
+        bits[row, first_word] |= from_left
+        for word in range(first_word + 1, last_word):
+            bits[row, word] = _ALL
+        bits[row, last_word] |= to_right
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill(u, v, faces, one_sided, bits, columns):
+def fill_within(u, v, faces, one_sided, bits, columns, extents):
     """Set the bits of every pixel whose centre lies in or on the edge of a triangle.
 
     Parameters
@@ -52,8 +66,14 @@ def fill(u, v, faces, one_sided, bits, columns):
     one_sided : leave out the triangles that turn one way: those of a closed surface that face the other way cover
         the same pixels.
     bits : (rows, words), uint64; bits beyond `columns` stay as they are.
+    extents : (rows, 2), widened: first and last word (not included) of each row that holds a bit.
+
+    Returns
+    -------
+    The first row that a triangle covers, and the last (not included).
     """
     rows = bits.shape[0]
+    top, bottom = rows, 0
     for face in range(faces.shape[0]):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         xa, ya, xb, yb, xc, yc = u[a], v[a], u[b], v[b], u[c], v[c]
@@ -79,15 +99,17 @@ def fill(u, v, faces, one_sided, bits, columns):
             right = min(math.floor(max(on_long, on_short)), columns - 1)
             if left > right:
                 continue
-            first_word, last_word = left >> 6, right >> 6
-            from_left, to_right = _ALL << np.uint64(left & 63), _ALL >> np.uint64(63 - (right & 63))
-            if first_word == last_word:
-                bits[row, first_word] |= from_left & to_right
-            else:
-                bits[row, first_word] |= from_left
-                for word in range(first_word + 1, last_word):
-                    bits[row, word] = _ALL
-                bits[row, last_word] |= to_right
+            set_run(bits, row, left, right)
+            extents[row, 0] = min(extents[row, 0], left >> 6)
+            extents[row, 1] = max(extents[row, 1], (right >> 6) + 1)
+        top, bottom = min(top, first), max(bottom, last + 1)
+    return top, bottom
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill(u, v, faces, one_sided, bits, columns):
+    """As `fill_within`, where nobody asks in which words the bits are."""
+    fill_within(u, v, faces, one_sided, bits, columns, np.zeros((bits.shape[0], 2), dtype=np.int64))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

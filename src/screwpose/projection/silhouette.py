@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from screwpose._types import BoolArray, FloatArray, IntArray
+from screwpose.errors import BehindSourceError
+from screwpose.projection.contour import Bodies
 
 BitRows = NDArray[np.uint64]
 """A mask as (rows, words): bit k of word w is column ``64 w + k``; bits beyond the last column are 0."""
@@ -35,6 +37,51 @@ def silhouette_bits(
     bits = np.zeros((shape[0], -(-shape[1] // 64)), dtype=np.uint64)
     kernels.fill(u, v, np.ascontiguousarray(faces, dtype=np.int64), is_closed, bits, shape[1])
     return bits
+
+
+def scene_bits(
+    pixels_from_world: FloatArray, world_from_cad: FloatArray, bodies: Bodies, shape: tuple[int, int]
+) -> BitRows:
+    """The union of posed bodies as bit rows: closed ones by their contour alone, others face by face.
+
+    Parameters
+    ----------
+    pixels_from_world : (3, 4), of depth in mm.
+    world_from_cad : (B, 4, 4).
+    bodies : of `contour.packed_bodies`.
+    shape : (rows, columns).
+
+    Raises
+    ------
+    BehindSourceError
+        A vertex is not in front of the source.
+    """
+    from screwpose.projection import contour_kernels
+
+    rows, words = shape[0], -(-shape[1] // 64)
+    bits = np.zeros((rows, words), dtype=np.uint64)
+    extents = np.zeros((rows, 2), dtype=np.int64)
+    room, crossings = contour_kernels.room_for(bodies, rows, words), np.empty(8 * rows, dtype=np.int32)
+    poses = np.ascontiguousarray(world_from_cad, dtype=np.float64)
+    nearest_mm = contour_kernels.draw_scene(
+        np.ascontiguousarray(pixels_from_world), poses, bodies, shape[1], room, crossings, bits, extents
+    )[3]
+    check_in_front(nearest_mm)
+    return bits
+
+
+def check_in_front(nearest_mm: float) -> None:
+    """Refuse a scene whose nearest vertex has this depth, mm, where that is not positive.
+
+    Raises
+    ------
+    BehindSourceError
+    """
+    if not nearest_mm > 0.0:
+        raise BehindSourceError(
+            f"a vertex at a depth of {nearest_mm:.4g} mm is not in front of the X-ray source. Start nearer to the "
+            "landmarks, or narrow the search's bounds."
+        )
 
 
 def packed(mask: BoolArray) -> BitRows:
