@@ -223,3 +223,40 @@ def test_a_real_biplane_pair_has_no_camera_warnings(builder):
     case, findings = inspect_case(builder.write())
     assert [str(finding) for finding in findings if "projection" in str(finding.field)] == []
     assert case is not None
+
+
+SIGMA = {"rotation_deg": 0.2, "translation_mm": 0.5, "focal_percent": 0.1, "principal_point_px": 1.0}
+
+
+def test_sigmas_of_cameras_are_read(builder):
+    builder.view("AP")["sigma"] = SIGMA
+    builder.view("LAT")["sigma"] = "auto"
+    case, findings = inspect_case(builder.write())
+    assert findings == ()
+    assert case is not None
+    assert case.views["LAT"].sigma == "auto"
+    np.testing.assert_allclose(
+        case.views["AP"].sigma.by_parameter, [*[np.radians(0.2)] * 3, *[0.5] * 3, 0.001, 1.0, 1.0]
+    )
+    assert read_case(CaseBuilder(builder.folder.parent / "plain").write()).views["AP"].sigma is None
+
+
+@pytest.mark.parametrize(
+    ("sigma", "said"),
+    [
+        ({**SIGMA, "rotation_deg": -1.0}, r"views\.AP\.sigma\.rotation_deg: -1\.0; expected 0 or more"),
+        (
+            {**SIGMA, "focal": 1.0},
+            r"views\.AP\.sigma\.focal: unknown key `focal`; the nearest known one is `focal_percent`",
+        ),
+        ("free", r'views\.AP\.sigma: "free"; expected \'auto\''),
+        ({"rotation_deg": 1.0}, r"views\.AP\.sigma\.translation_mm: the key is missing"),
+    ],
+)
+def test_wrong_sigmas_are_named_once(builder, sigma, said):
+    builder.view("AP")["sigma"] = sigma
+    case, findings = inspect_case(builder.write())
+    assert case is None
+    assert any(re.search(said, str(finding)) for finding in findings), [str(f) for f in findings]
+    assert not any("literal" in str(finding) or "CameraSigmaFile" in str(finding) for finding in findings)
+    assert len(findings) == (3 if sigma == {"rotation_deg": 1.0} else 1)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from screwpose._types import BoolArray, FloatArray
 from screwpose.errors import CaseError
 from screwpose.files.findings import Finding, errors_in, merged, raise_first, warnings_in
 from screwpose.geometry.camera import Camera
+from screwpose.geometry.correction import CameraSigma
 from screwpose.images.radiograph import Radiograph
 from screwpose.implants.model import Implant
 
 if TYPE_CHECKING:
-    from screwpose.files.schema_case import AnnotationFile
+    from screwpose.files.schema_case import AnnotationFile, CameraSigmaFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class View:
     ----------
     mask : (rows, columns), M_bg: true where the projection counts (the case's mask, else the field of view).
     target : (rows, columns), a given segmentation of the implants for the Dice score, or None: made from the image.
+    sigma : how exactly the camera is known, "auto" for what one may expect of a C-arm, None for a camera that is exact.
     """
 
     name: str
@@ -43,6 +45,7 @@ class View:
     radiograph: Radiograph
     mask: BoolArray
     target: BoolArray | None = None
+    sigma: CameraSigma | Literal["auto"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +120,12 @@ def case_file(path: str | Path) -> Path:
     return path / "case.json" if path.is_dir() else path
 
 
+def _sigma_of(given: "CameraSigmaFile | Literal['auto'] | None") -> CameraSigma | Literal["auto"] | None:
+    if given is None or given == "auto":
+        return given
+    return CameraSigma(given.rotation_deg, given.translation_mm, given.focal_percent, given.principal_point_px)
+
+
 def _middle_px(screws: Sequence[tuple[int, "AnnotationFile"]], size: tuple[int, int] | None) -> FloatArray:
     """The mean of a view's landmarks, (2,), px; one that lies far outside the image, an error of its own, is drawn in,
     so that the matrices are not blamed for it."""
@@ -148,7 +157,9 @@ def _contents(
     implants = read_implants(objects_in(data.get("models"), ModelFile), inspection)
     check_annotations(marked, data, sizes, inspection)
     views = {
-        name: View(name, cameras[name], image.radiograph, image.mask, image.target)
+        name: View(
+            name, cameras[name], image.radiograph, image.mask, image.target, _sigma_of(view_entries[name].get("sigma"))
+        )
         for name, image in images.items()
         if name in cameras and image.mask is not None
     }

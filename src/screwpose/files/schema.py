@@ -8,6 +8,7 @@ from screwpose.files.schema_case import (
     CASE_FORMAT,
     TRUTH_FORMAT,
     AnnotationFile,
+    CameraSigmaFile,
     CaseFile,
     ModelFile,
     PartFile,
@@ -19,6 +20,7 @@ from screwpose.files.schema_case import (
 )
 from screwpose.files.schema_result import (
     RESULT_FORMAT,
+    CameraResultFile,
     ChosenBy,
     CombinationFile,
     PairingFile,
@@ -52,6 +54,8 @@ __all__ = [
     "SUMMARY_FORMAT",
     "TRUTH_FORMAT",
     "AnnotationFile",
+    "CameraResultFile",
+    "CameraSigmaFile",
     "CaseFile",
     "ChosenBy",
     "CombinationFile",

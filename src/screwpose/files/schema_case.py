@@ -4,7 +4,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from screwpose.files.values import FileModel, Matrix3x4, Name, Point2, Point3, Pose
+from screwpose.files.values import FileModel, Matrix3x4, Name, NotNegative, Point2, Point3, Pose
 
 CASE_FORMAT = "screwpose-case/1"
 TRUTH_FORMAT = "screwpose-truth/1"
@@ -27,6 +27,15 @@ _PATH = "a path relative to the case file's folder, with forward slashes, that s
 FilePath: TypeAlias = Annotated[str, Field(min_length=1)]
 
 
+class CameraSigmaFile(FileModel):
+    """How exactly a view was calibrated: standard deviations, 0 for what is exact."""
+
+    rotation_deg: NotNegative = Field(description="of the view about the screws, about each axis, degrees")
+    translation_mm: NotNegative = Field(description="of the view against the world, along each axis, mm")
+    focal_percent: NotNegative = Field(description="of the focal length, percent")
+    principal_point_px: NotNegative = Field(description="of the principal point, in u and in v, px")
+
+
 class ViewFile(FileModel):
     """One calibrated X-ray."""
 
@@ -42,6 +51,11 @@ class ViewFile(FileModel):
     )
     target: FilePath | None = Field(
         None, description=f"a segmentation of the implants for the Dice score, same size as the image; {_PATH}"
+    )
+    sigma: CameraSigmaFile | Literal["auto"] | None = Field(
+        None,
+        description="how exactly the view was calibrated; its camera is then refined together with the poses. auto: as "
+        "one may expect of a C-arm, and only where landmarks or X-rays contradict the matrix. Absent: P is exact",
     )
 
 

@@ -9,8 +9,11 @@ from screwpose.files.values import (
     FileModel,
     Fraction,
     Loss,
+    Matrix3x4,
     Name,
     NotNegative,
+    Number,
+    Point2,
     Point3,
     Pose,
     UnitVector,
@@ -131,6 +134,18 @@ class ScrewResultFile(FileModel):
     scores: ScrewScores | None = Field(None, description="the scores before and after registration")
 
 
+class CameraResultFile(FileModel):
+    """A camera that was refined together with the poses, and how it differs from the one in the case."""
+
+    projection: Matrix3x4 = Field(
+        description="the refined projection matrix, 3 rows of 4, in which the poses of this file are"
+    )
+    rotation_deg: NotNegative = Field(description="by how much the view was turned about the screws, degrees")
+    translation_mm: NotNegative = Field(description="by how much it was moved, at the screws, mm")
+    focal_percent: Number = Field(description="by how much its focal length became longer, percent")
+    principal_point_px: Point2 = Field(description="by how much its principal point moved, [u, v] in px")
+
+
 class ResultFile(FileModel):
     """result.json: which screw is which, where each one is, and how sure that is."""
 
@@ -143,6 +158,9 @@ class ResultFile(FileModel):
         description="every combination that was scored, best first; with more than 3 screws the k best"
     )
     screws: tuple[ScrewResultFile, ...] = Field(description="the pose of each screw of the pairing")
+    cameras: dict[Name, CameraResultFile] | None = Field(
+        None, description="the refined camera of each view; absent where the cameras are those of the case"
+    )
     warnings: tuple[str, ...] = Field(description="what a reader should know, one sentence each")
     timing_s: dict[Name, NotNegative] = Field(description="seconds spent in each step, and in total")
 

@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from screwpose.files.findings import Finding, raise_first
-from screwpose.files.schema_case import REMEDIES
+from screwpose.files.schema_case import REMEDIES, CameraSigmaFile
 from screwpose.files.strict_json import field_path, parse_json
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -28,6 +28,8 @@ _KINDS = {
     "tuple_type": "a list, [ ]",
     "string_too_short": "text that is not empty",
 }
+# Models that stand beside a word: pydantic puts their names into the location of an error.
+_BRANCHES = {CameraSigmaFile.__name__}
 
 
 def read_model(path: str | Path, model: type[Model], file_format: str) -> Model:
@@ -85,7 +87,7 @@ def findings_of(error: ValidationError, model: type[BaseModel], path: Path, at: 
     Numbers that are not finite are left out (`parse_json` has them), and so is a missing key where an unknown key
     beside it is plainly that key misspelt: one mistake, one message.
     """
-    details = error.errors(include_url=False)
+    details = _of_the_branch_meant(error.errors(include_url=False))
     misspelt = {
         (*detail["loc"][:-1], near)
         for detail in details
@@ -100,6 +102,23 @@ def findings_of(error: ValidationError, model: type[BaseModel], path: Path, at: 
         location = tuple(key for key in detail["loc"] if key != "[key]")
         found.append(Finding("error", problem, path, field_path((*at, *location)), expected, remedy))
     return found
+
+
+def _of_the_branch_meant(details: list[ErrorDetails]) -> list[ErrorDetails]:
+    """Where a key may be an object or a word, what is wrong with the one that was written; pydantic tells of both, and
+    names each in the location."""
+    meant: list[ErrorDetails] = []
+    for detail in details:
+        is_word = [isinstance(key, str) and key.startswith("literal[") for key in detail["loc"]]
+        if any(is_word) and isinstance(detail["input"], dict):
+            continue
+        location = tuple(
+            key for key, word in zip(detail["loc"], is_word, strict=True) if not word and key not in _BRANCHES
+        )
+        if detail["type"] == "model_type" and detail["loc"][-1] in _BRANCHES:
+            continue
+        meant.append({**detail, "loc": location})
+    return meant
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
