@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,10 +11,10 @@ from screwpose.geometry import Camera, rigid
 from screwpose.images.radiograph import Radiograph
 from screwpose.implants.model import Implant, Mesh
 from screwpose.pairing import Combination, Hypothesis, LandmarkNoise, combinations
-from screwpose.pairing.evidence import gather, place, score, score_each, with_metal
+from screwpose.pairing.evidence import _near, gather, place, score, score_each, with_metal
 from screwpose.pairing.landmark_fit import landmark_offsets_px
 from screwpose.projection import reference
-from screwpose.similarity import Posed, union_mask
+from screwpose.similarity import Posed, score_scene, union_mask
 
 # 4 px a mm at the origin; the views look along +z and along +x.
 K = np.array([[1600.0, 0, 100], [0, 1600.0, 80], [0, 0, 1]])
@@ -139,3 +140,40 @@ def test_a_reduced_mesh_is_used_for_searching_only() -> None:
     evidence = gather(case, None, reference.silhouette)
     assert evidence.search_meshes["flag"] is IMPLANT.mesh
     assert isinstance(right(case).hypotheses[0], Hypothesis)
+
+
+def test_a_mask_is_drawn_once_for_each_pose() -> None:
+    drawn = []
+
+    def counting(vertices_px: np.ndarray, faces: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        drawn.append(len(faces))
+        return reference.silhouette(vertices_px, faces, shape)
+
+    case = the_case()
+    combination = right(case)
+    poses = tuple(TRUTH[hypothesis.by_view["AP"]] for hypothesis in combination.hypotheses)
+    evidence = with_metal(gather(case, None, counting), case, [(combination, poses)])
+    first = score(evidence, combination, poses)
+    score_each(evidence, combination, poses)
+    assert len(drawn) == 4  # two screws, two views
+    scene = [Posed(MESH, pose) for pose in poses]
+    want = score_scene(evidence.cameras, evidence.targets, scene, reference.silhouette)
+    for view, score_of_view in want.views.items():
+        assert first.views[view].dice == score_of_view.dice
+        assert first.views[view].loss == pytest.approx(score_of_view.loss, abs=1e-12)
+    shifted = rigid.exp(np.array([0, 0, 0, 1.0, 0, 0]))
+    score(evidence, combination, (shifted @ poses[0], poses[1]))
+    assert len(drawn) == 6
+
+
+@pytest.mark.parametrize("reach_px", [1, 4, 9, 40])
+def test_near_is_a_dilation_by_a_disc(reach_px: int) -> None:
+    rng = np.random.default_rng(reach_px)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach_px + 1, 2 * reach_px + 1))
+    for share in (1e-3, 0.1):
+        covered = np.zeros((90, 110), bool)
+        covered[25:85, 3:70] = rng.random((60, 67)) < share
+        want = cv2.dilate(covered.astype(np.uint8), disc).astype(bool)
+        assert covered.any()
+        np.testing.assert_array_equal(_near(covered, reach_px), want)
+    assert not _near(np.zeros((5, 5), bool), 3).any()

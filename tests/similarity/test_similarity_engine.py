@@ -7,7 +7,16 @@ from screwpose.errors import BehindSourceError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import Mesh, ScrewDesign, make_screw
 from screwpose.projection import reference
-from screwpose.similarity import Posed, dice, gradient_correlation_loss, make_target, union_mask
+from screwpose.projection.silhouette import packed
+from screwpose.similarity import (
+    Posed,
+    dice,
+    forward_differences,
+    gradient_correlation_loss,
+    make_target,
+    score_rows,
+    union_mask,
+)
 from screwpose.similarity.engine import SceneEngine
 
 SHAPE = (150, 230)
@@ -94,3 +103,32 @@ def test_behind_the_source_is_an_error() -> None:
     engine = SceneEngine(CAMERAS, targets, [make_screw(SHORT).mesh])
     with pytest.raises(BehindSourceError, match="not in front of the X-ray source"):
         engine.scores(np.eye(4)[None, None])
+
+
+def test_rows_are_scored_as_their_masks_are() -> None:
+    rng = np.random.default_rng(7)
+    region, metal = rng.random(SHAPE) < 0.8, rng.random(SHAPE) < 0.3
+    target = make_target(rng.random(SHAPE, dtype=np.float32), region, np.zeros(SHAPE, bool))
+    rows_before = target.rows
+    target = target.with_metal(metal)
+    assert target.rows is rows_before  # what was made of the X-ray is not made again
+    np.testing.assert_array_equal(target.metal, metal & region)
+    for mask in (rng.random(SHAPE) < 0.2, np.zeros(SHAPE, bool), np.ones(SHAPE, bool)):
+        got = score_rows(target, packed(mask))
+        assert got.loss == pytest.approx(target.loss(mask), abs=1e-12)
+        assert got.dice == pytest.approx(dice(mask & region, metal & region), abs=1e-15)
+    left = rng.random(SHAPE) < 0.5
+    got = score_rows(target, packed(mask), target.metal_rows & packed(left))
+    assert got.dice == pytest.approx(dice(mask & region, metal & region & left), abs=1e-15)
+
+
+def test_the_adjoint_is_that_of_the_reference_differences() -> None:
+    rng = np.random.default_rng(8)
+    pixels, region = rng.random(SHAPE, dtype=np.float32), rng.random(SHAPE) < 0.8
+    target = make_target(pixels, region, region)
+    along_u, along_v = forward_differences(pixels, region)
+    want = -along_u - along_v
+    want[:, 1:] += along_u[:, :-1]
+    want[1:] += along_v[:-1]
+    np.testing.assert_allclose(target.adjoint, want, atol=1e-14)
+    assert target.gradient_norm == pytest.approx(np.sqrt(np.sum(along_u**2 + along_v**2)), rel=1e-12)

@@ -99,3 +99,32 @@ def measure_scenes(
         )
         bits[first_row:last_row, first_word:last_word] = 0
     return nearest
+
+
+@njit(cache=True, nogil=True)
+def adjoint_of(pixels, region):
+    """``D^T D I`` of an X-ray I within its region (rows, columns), and ``|D I|^2`` summed along each row (rows,).
+
+    D are the differences to the right and downwards, zero where either pixel lies outside the region; its transpose
+    takes what leaves a pixel to the right into its right neighbour.
+    """
+    rows, columns = pixels.shape
+    adjoint, energies = np.zeros((rows, columns)), np.zeros(rows)
+    for row in range(rows):
+        energy = 0.0
+        for column in range(columns):
+            if not region[row, column]:
+                continue
+            here = pixels[row, column]
+            if column + 1 < columns and region[row, column + 1]:
+                step = pixels[row, column + 1] - here
+                adjoint[row, column] -= step
+                adjoint[row, column + 1] += step
+                energy += step * step
+            if row + 1 < rows and region[row + 1, column]:
+                step = pixels[row + 1, column] - here
+                adjoint[row, column] -= step
+                adjoint[row + 1, column] += step
+                energy += step * step
+        energies[row] = energy
+    return adjoint, energies

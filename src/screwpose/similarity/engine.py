@@ -12,26 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from screwpose._types import BoolArray, FloatArray, IntArray
+from screwpose._types import FloatArray, IntArray
 from screwpose.errors import BehindSourceError
 from screwpose.geometry import Camera
 from screwpose.implants.model import Mesh
-from screwpose.projection.silhouette import BitRows, is_closed_surface, packed
+from screwpose.projection.silhouette import is_closed_surface
 from screwpose.similarity.target import Target
-
-
-@dataclass(frozen=True, eq=False)
-class _View:
-    """One X-ray as the kernels want it; see `bitrow_kernels.measure`."""
-
-    camera: Camera
-    region: BitRows
-    beside: BitRows
-    below: BitRows
-    metal: BitRows
-    sums: FloatArray
-    gradient_norm: float
-    metal_area: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +46,9 @@ class SceneEngine:
         threads: int | None = None,
     ) -> None:
         self.view_names = tuple(targets)
-        self._views = [_prepared(cameras[name], target) for name, target in targets.items()]
+        self._views = [(cameras[name], target) for name, target in targets.items()]
+        for target in targets.values():  # made here, not by the first of several threads
+            _ = target.rows, target.metal_rows
         self._vertices = np.ascontiguousarray(np.concatenate([mesh.vertices_mm for mesh in meshes]), dtype=np.float64)
         self._vertex_start = _starts([len(mesh.vertices_mm) for mesh in meshes])
         self._faces = np.ascontiguousarray(np.concatenate([mesh.faces for mesh in meshes]), dtype=np.int64)
@@ -84,8 +72,8 @@ class SceneEngine:
         loss, overlap = (np.empty((len(poses), len(self._views))) for _ in range(2))
 
         def score(part: slice) -> None:
-            for index, view in enumerate(self._views):
-                loss[part, index], overlap[part, index] = self._score(view, poses[part])
+            for index, (camera, target) in enumerate(self._views):
+                loss[part, index], overlap[part, index] = self._score(camera, target, poses[part])
 
         parts = [slice(*ends) for ends in _even_parts(len(poses), self._threads)]
         if len(parts) == 1:
@@ -95,13 +83,14 @@ class SceneEngine:
                 list(pool.map(score, parts))
         return EngineScores(loss, overlap)
 
-    def _score(self, view: _View, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _score(self, camera: Camera, target: Target, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         from screwpose.similarity import bitrow_kernels as kernels
 
         correlation, counts = np.zeros(len(poses)), np.zeros((len(poses), 3), dtype=np.int64)
+        rows, metal = target.rows, target.metal_rows
         nearest_mm = kernels.measure_scenes(
-            view.camera.projection, poses, self._vertices, self._vertex_start, self._faces, self._face_start,
-            self._is_closed, view.region, view.beside, view.below, view.metal, view.sums, correlation, counts,
+            camera.projection, poses, self._vertices, self._vertex_start, self._faces, self._face_start,
+            self._is_closed, rows.region, rows.beside, rows.below, metal, rows.sums, correlation, counts,
         )  # fmt: skip
         if not nearest_mm > 0.0:
             raise BehindSourceError(
@@ -109,30 +98,10 @@ class SceneEngine:
                 "landmarks, or narrow the search's bounds."
             )
         transitions, area, common = counts.T
-        norm = np.sqrt(transitions) * view.gradient_norm
+        norm = np.sqrt(transitions) * target.gradient_norm
         loss = -correlation / np.where(norm > 0.0, norm, 1.0) * (norm > 0.0)
-        covered = area + view.metal_area
+        covered = area + int(np.bitwise_count(metal).sum())
         return loss, 2.0 * common / np.maximum(covered, 1)
-
-
-def _prepared(camera: Camera, target: Target) -> _View:
-    region = target.region
-    beside, below = np.zeros_like(region), np.zeros_like(region)
-    beside[:, 1:] = region[:, 1:] & region[:, :-1]
-    below[:-1] = region[1:] & region[:-1]
-    sums = np.zeros((region.shape[0], region.shape[1] + 1))
-    np.cumsum(target.adjoint, axis=1, out=sums[:, 1:])
-    metal: BoolArray = target.metal & region
-    return _View(
-        camera,
-        packed(region),
-        packed(beside),
-        packed(below),
-        packed(metal),
-        sums,
-        target.gradient_norm,
-        int(metal.sum()),
-    )
 
 
 def _starts(counts: Sequence[int]) -> IntArray:

@@ -8,6 +8,7 @@ import numpy as np
 from screwpose._types import BoolArray, FloatArray, IntArray
 from screwpose.geometry import Camera, rigid
 from screwpose.implants.model import Mesh
+from screwpose.projection.silhouette import BitRows
 from screwpose.similarity.reference import dice
 from screwpose.similarity.target import Target, Window
 
@@ -90,3 +91,23 @@ def score_scene(
         mask = union_mask(cameras[name], scene, target.shape, silhouette) & target.region
         scores[name] = ViewScore(dice=dice(mask, target.metal), loss=target.loss(mask))
     return SceneScore(scores)
+
+
+def score_rows(target: Target, mask: BitRows, metal: BitRows | None = None) -> ViewScore:
+    """Dice and loss of a mask in bit rows: those of `Target.loss` and `dice`, to rounding.
+
+    Parameters
+    ----------
+    metal : what the Dice score compares the mask with, the target's own by default.
+    """
+    from screwpose.similarity.bitrow_kernels import measure
+
+    rows, metal = target.rows, target.metal_rows if metal is None else metal
+    correlation, transitions, area, common = measure(
+        mask, 0, mask.shape[0], 0, mask.shape[1], rows.region, rows.beside, rows.below, metal, rows.sums
+    )
+    norm = float(np.sqrt(transitions)) * target.gradient_norm
+    covered = int(area) + int(np.bitwise_count(metal).sum())
+    return ViewScore(
+        dice=2.0 * int(common) / covered if covered else 0.0, loss=-float(correlation) / norm if norm > 0.0 else 0.0
+    )

@@ -6,15 +6,33 @@ The numerator of the gradient correlation loss is linear in the mask: ``sum(D m 
 `reference.gradient_correlation_loss`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from screwpose._types import BoolArray, FloatArray, ImageArray
-from screwpose.similarity.reference import forward_differences
+from screwpose.projection.silhouette import BitRows, packed
 
 Window = tuple[slice, slice]
 """Rows and columns of a part of the image."""
+
+
+@dataclass(frozen=True, eq=False)
+class TargetRows:
+    """A target as the bit-row kernels want it; see `bitrow_kernels.measure`.
+
+    Parameters
+    ----------
+    region : the pixels that count.
+    beside, below : where a pixel and its left neighbour, or the one below, both count.
+    sums : (rows, columns + 1), the adjoint summed along each row.
+    """
+
+    region: BitRows
+    beside: BitRows
+    below: BitRows
+    sums: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +56,29 @@ class Target:
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
         return self.region.shape[0], self.region.shape[1]
+
+    @cached_property
+    def rows(self) -> TargetRows:
+        """The same for masks that are bit rows, made when first asked for."""
+        region = self.region
+        beside, below = np.zeros_like(region), np.zeros_like(region)
+        beside[:, 1:] = region[:, 1:] & region[:, :-1]
+        below[:-1] = region[1:] & region[:-1]
+        sums = np.zeros((region.shape[0], region.shape[1] + 1))
+        np.cumsum(self.adjoint, axis=1, out=sums[:, 1:])
+        return TargetRows(packed(region), packed(beside), packed(below), sums)
+
+    @cached_property
+    def metal_rows(self) -> BitRows:
+        """The metal as bit rows."""
+        return packed(self.metal & self.region)
+
+    def with_metal(self, metal: BoolArray) -> "Target":
+        """The same X-ray with another segmentation; what was made of the X-ray is shared."""
+        other = replace(self, metal=metal & self.region)
+        if "rows" in self.__dict__:
+            other.__dict__["rows"] = self.rows
+        return other
 
     def loss(self, mask: BoolArray, window: Window | None = None) -> float:
         """Gradient correlation loss of a projected mask.
@@ -68,10 +109,7 @@ def make_target(pixels: ImageArray, region: BoolArray, metal: BoolArray) -> Targ
     region : (rows, columns), M_bg: the pixels that count.
     metal : (rows, columns), the segmented implants.
     """
-    along_u, along_v = forward_differences(pixels, region)
-    # The transpose of a forward difference: what leaves a pixel to the right enters its right neighbour.
-    adjoint = -along_u - along_v
-    adjoint[:, 1:] += along_u[:, :-1]
-    adjoint[1:, :] += along_v[:-1, :]
-    norm = float(np.sqrt(np.sum(along_u**2 + along_v**2)))
-    return Target(adjoint, norm, region, metal & region)
+    from screwpose.similarity.bitrow_kernels import adjoint_of
+
+    adjoint, energies = adjoint_of(np.asarray(pixels, dtype=np.float64), np.ascontiguousarray(region))
+    return Target(adjoint, float(np.sqrt(energies.sum())), region, metal & region)
