@@ -132,3 +132,19 @@ def test_the_adjoint_is_that_of_the_reference_differences() -> None:
     want[1:] += along_v[:-1]
     np.testing.assert_allclose(target.adjoint, want, atol=1e-14)
     assert target.gradient_norm == pytest.approx(np.sqrt(np.sum(along_u**2 + along_v**2)), rel=1e-12)
+
+
+def test_the_mask_it_scores_can_be_seen() -> None:
+    rng = np.random.default_rng(6)
+    region = np.hypot(*(np.indices(SHAPE) - [[[74]], [[114]]])) < 70
+    targets = {name: make_target(rng.random(SHAPE, np.float32), region, rng.random(SHAPE) < 0.2) for name in CAMERAS}
+    mesh = make_screw(SHORT).mesh
+    engine = SceneEngine(CAMERAS, targets, [mesh, mesh])
+    poses = scene_poses(rng, 1, 2)
+    scores = engine.scores(poses)
+    for index, (name, camera) in enumerate(CAMERAS.items()):
+        mask = engine.mask(poses[0], name)
+        want = union_mask(camera, [Posed(mesh, pose) for pose in poses[0]], SHAPE, reference.silhouette)
+        np.testing.assert_array_equal(mask, want)
+        assert scores.dice[0, index] == pytest.approx(dice(mask & region, targets[name].metal), abs=1e-12)
+        assert scores.loss[0, index] == pytest.approx(targets[name].loss(mask), abs=1e-9)

@@ -3,16 +3,19 @@
 import numpy as np
 from numba import njit
 
-from screwpose.projection.kernels import count_bits, fill, lowest_bit, project
+from screwpose.projection.contour_kernels import draw_scene, room_for
+from screwpose.projection.kernels import count_bits, lowest_bit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure(bits, first_row, last_row, first_word, last_word, region, beside, below, metal, sums):
+def measure_rows(bits, extents, top, bottom, region, beside, below, metal, sums):
     """What the loss and the Dice score need of a mask.
 
     Parameters
     ----------
-    bits : (rows, words), the mask; empty outside the given rows and words (first to last, the last not included).
+    bits : (rows, words), the mask.
+    extents : (rows, 2), first and last word (not included) of each row that may hold a bit; first >= last: none.
+    top, bottom : the first and last row (not included) that may hold a bit.
     region, metal : (rows, words), the pixels that count, and the segmented implants among them.
     beside, below : (rows, words), where a pixel and its left neighbour, or the one below, both count.
     sums : (rows, columns + 1), the adjoint summed along each row: ``sums[r, c]`` is that of the columns before c.
@@ -23,18 +26,26 @@ def measure(bits, first_row, last_row, first_word, last_word, region, beside, be
     """
     rows, words = bits.shape
     columns = sums.shape[1] - 1
-    one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
+    one, zero = np.uint64(1), np.uint64(0)
     correlation, transitions, area, common = 0.0, zero, zero, zero
-    for row in range(first_row, last_row):
+    for row in range(max(top - 1, 0), bottom):
+        first, last = extents[row, 0], extents[row, 1]
+        has_next = row + 1 < rows
+        if has_next:
+            first, last = min(first, extents[row + 1, 0]), max(last, extents[row + 1, 1])
+        last = min(last + 1, words)  # a run that ends with a word has its edge in the next
         carry, is_inside = zero, False
-        for word in range(first_word, last_word):
-            mask = bits[row, word] & region[row, word]
-            under = bits[row + 1, word] & region[row + 1, word] if row + 1 < rows else zero
+        for word in range(first, last):
+            mask = bits[row, word]
+            under = bits[row + 1, word] if has_next else zero
+            if mask | under | carry == zero:
+                continue
+            mask &= region[row, word]
+            if has_next:
+                under &= region[row + 1, word]
             transitions += count_bits((mask ^ under) & below[row, word])
-            if row == first_row and row > 0:
-                transitions += count_bits(mask & below[row - 1, word])
             edges = mask ^ ((mask << one) | carry)
-            carry = mask >> top
+            carry = mask >> np.uint64(63)
             transitions += count_bits(edges & beside[row, word])
             area += count_bits(mask)
             common += count_bits(mask & metal[row, word])
@@ -43,61 +54,57 @@ def measure(bits, first_row, last_row, first_word, last_word, region, beside, be
                 edges &= edges - one
                 correlation += sums[row, column] if is_inside else -sums[row, column]
                 is_inside = not is_inside
-        if is_inside:  # up to the last word's last bit, or the image's border
-            correlation += sums[row, min(64 * last_word, columns)]
-            if last_word < words:
-                transitions += count_bits(one & beside[row, last_word])
+        if is_inside:  # up to the image's border
+            correlation += sums[row, columns]
     return correlation, np.int64(transitions), np.int64(area), np.int64(common)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_scenes(
-    pixels_from_world, world_from_cad, vertices, vertex_start, faces, face_start, is_closed,
-    region, beside, below, metal, sums, correlation, counts,
-):  # fmt: skip
-    """Project, fill and measure many scenes in one view.
+def measure(bits, first_row, last_row, first_word, last_word, region, beside, below, metal, sums):
+    """As `measure_rows`, of a mask that is empty outside the given rows and words (the last ones not included)."""
+    extents = np.zeros((bits.shape[0], 2), dtype=np.int64)
+    for row in range(first_row, last_row):
+        extents[row, 0], extents[row, 1] = first_word, last_word
+    return measure_rows(bits, extents, first_row, last_row, region, beside, below, metal, sums)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_scenes(pixels_from_world, world_from_cad, bodies, region, beside, below, metal, sums, correlation, counts):
+    """Draw and measure many scenes in one view.
 
     Parameters
     ----------
     pixels_from_world : (3, 4).
     world_from_cad : (K, B, 4, 4), K scenes of B bodies.
-    vertices, faces : of all bodies, one after the other; body b has those from start[b] to start[b + 1].
+    bodies : `contour.Bodies`.
+    region, beside, below, metal, sums : see `measure_rows`.
     correlation : (K,), filled: the sum of the adjoint under each mask.
     counts : (K, 3), filled: transitions, area, common.
 
     Returns
     -------
-    The smallest depth of any vertex, mm.
+    The smallest depth of any vertex, mm, or, where all are in front of the source, of their boxes.
     """
     rows, words = region.shape
-    columns = sums.shape[1] - 1
     bits = np.zeros((rows, words), dtype=np.uint64)
-    u, v = np.empty(len(vertices)), np.empty(len(vertices))
+    extents = np.empty((rows, 2), dtype=np.int64)
+    extents[:, 0], extents[:, 1] = words, 0
+    room, crossings = room_for(bodies, rows, words), np.empty(8 * rows, dtype=np.int32)
     nearest = np.inf
     for scene in range(world_from_cad.shape[0]):
-        left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
-        for body in range(world_from_cad.shape[1]):
-            first, last = vertex_start[body], vertex_start[body + 1]
-            pixels_from_cad = pixels_from_world @ world_from_cad[scene, body]
-            nearest = min(nearest, project(pixels_from_cad, vertices[first:last], u[first:last], v[first:last]))
-            for i in range(first, last):
-                left, right = min(left, u[i]), max(right, u[i])
-                top, bottom = min(top, v[i]), max(bottom, v[i])
-        if not nearest > 0.0:
-            return nearest
-        # Clipped before they become integers: a body far outside must not overflow them.
-        first_row = np.int64(min(max(np.floor(top), 0.0), rows))
-        last_row = np.int64(min(max(np.floor(bottom) + 1.0, first_row), rows))
-        first_word = np.int64(min(max(np.floor(left), 0.0), columns)) >> 6
-        last_word = max((np.int64(min(max(np.floor(right), -1.0), columns - 1.0)) >> 6) + 1, first_word)
-        for body in range(world_from_cad.shape[1]):
-            first, last = vertex_start[body], vertex_start[body + 1]
-            of_body = faces[face_start[body] : face_start[body + 1]]
-            fill(u[first:last], v[first:last], of_body, is_closed[body], bits, columns)
-        correlation[scene], counts[scene, 0], counts[scene, 1], counts[scene, 2] = measure(
-            bits, first_row, last_row, first_word, last_word, region, beside, below, metal, sums
+        crossings, top, bottom, depth = draw_scene(
+            pixels_from_world, world_from_cad[scene], bodies, sums.shape[1] - 1, room, crossings, bits, extents
         )
-        bits[first_row:last_row, first_word:last_word] = 0
+        nearest = min(nearest, depth)
+        if not nearest > 0.0:
+            break
+        correlation[scene], counts[scene, 0], counts[scene, 1], counts[scene, 2] = measure_rows(
+            bits, extents, top, bottom, region, beside, below, metal, sums
+        )
+        for row in range(top, bottom):
+            for word in range(extents[row, 0], extents[row, 1]):
+                bits[row, word] = 0
+            extents[row, 0], extents[row, 1] = words, 0
     return nearest
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from screwpose._types import FloatArray, IntArray
-from screwpose.errors import BehindSourceError
+from screwpose._types import BoolArray, FloatArray
 from screwpose.geometry import Camera
 from screwpose.implants.model import Mesh
-from screwpose.projection.silhouette import is_closed_surface
+from screwpose.projection.contour import packed_bodies
+from screwpose.projection.silhouette import check_in_front, scene_bits, unpacked
 from screwpose.similarity.target import Target
 
 
@@ -34,7 +34,7 @@ class SceneEngine:
     Parameters
     ----------
     cameras, targets : by view name.
-    meshes : the bodies of a scene; those that are closed surfaces are drawn from one side.
+    meshes : the bodies of a scene; of those that are closed surfaces only the contour is drawn.
     threads : how many scenes are scored at once; the scores do not depend on it. None: all cores.
     """
 
@@ -49,11 +49,8 @@ class SceneEngine:
         self._views = [(cameras[name], target) for name, target in targets.items()]
         for target in targets.values():  # made here, not by the first of several threads
             _ = target.rows, target.metal_rows
-        self._vertices = np.ascontiguousarray(np.concatenate([mesh.vertices_mm for mesh in meshes]), dtype=np.float64)
-        self._vertex_start = _starts([len(mesh.vertices_mm) for mesh in meshes])
-        self._faces = np.ascontiguousarray(np.concatenate([mesh.faces for mesh in meshes]), dtype=np.int64)
-        self._face_start = _starts([len(mesh.faces) for mesh in meshes])
-        self._is_closed = np.array([is_closed_surface(mesh.faces) for mesh in meshes])
+        self._metal_areas = [int(np.bitwise_count(target.metal_rows).sum()) for target in targets.values()]
+        self._bodies = packed_bodies([(mesh.vertices_mm, mesh.faces) for mesh in meshes])
         self._threads = threads or os.cpu_count() or 1
 
     def scores(self, world_from_cad: FloatArray) -> EngineScores:
@@ -72,8 +69,8 @@ class SceneEngine:
         loss, overlap = (np.empty((len(poses), len(self._views))) for _ in range(2))
 
         def score(part: slice) -> None:
-            for index, (camera, target) in enumerate(self._views):
-                loss[part, index], overlap[part, index] = self._score(camera, target, poses[part])
+            for index in range(len(self._views)):
+                loss[part, index], overlap[part, index] = self._score(index, poses[part])
 
         parts = [slice(*ends) for ends in _even_parts(len(poses), self._threads)]
         if len(parts) == 1:
@@ -83,29 +80,34 @@ class SceneEngine:
                 list(pool.map(score, parts))
         return EngineScores(loss, overlap)
 
-    def _score(self, camera: Camera, target: Target, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from screwpose.similarity import bitrow_kernels as kernels
+    def mask(self, world_from_cad: FloatArray, view_name: str) -> BoolArray:
+        """The pixels (rows, columns) that one scene (B, 4, 4) covers in a view, whether they count or not.
+
+        Raises
+        ------
+        BehindSourceError
+            A vertex is not in front of the source.
+        """
+        camera, target = self._views[self.view_names.index(view_name)]
+        bits = scene_bits(camera.projection, world_from_cad, self._bodies, target.shape)
+        return unpacked(bits, target.shape[1])
+
+    def _score(self, view: int, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        from screwpose.similarity.bitrow_kernels import measure_scenes
 
         correlation, counts = np.zeros(len(poses)), np.zeros((len(poses), 3), dtype=np.int64)
-        rows, metal = target.rows, target.metal_rows
-        nearest_mm = kernels.measure_scenes(
-            camera.projection, poses, self._vertices, self._vertex_start, self._faces, self._face_start,
-            self._is_closed, rows.region, rows.beside, rows.below, metal, rows.sums, correlation, counts,
+        camera, target = self._views[view]
+        rows = target.rows
+        nearest_mm = measure_scenes(
+            camera.projection, poses, self._bodies, rows.region, rows.beside, rows.below, target.metal_rows, rows.sums,
+            correlation, counts,
         )  # fmt: skip
-        if not nearest_mm > 0.0:
-            raise BehindSourceError(
-                f"a vertex at a depth of {nearest_mm:.4g} mm is not in front of the X-ray source. Start nearer to the "
-                "landmarks, or narrow the search's bounds."
-            )
+        check_in_front(nearest_mm)
         transitions, area, common = counts.T
         norm = np.sqrt(transitions) * target.gradient_norm
         loss = -correlation / np.where(norm > 0.0, norm, 1.0) * (norm > 0.0)
-        covered = area + int(np.bitwise_count(metal).sum())
+        covered = area + self._metal_areas[view]
         return loss, 2.0 * common / np.maximum(covered, 1)
-
-
-def _starts(counts: Sequence[int]) -> IntArray:
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def _even_parts(count: int, parts: int) -> list[tuple[int, int]]:
