@@ -131,7 +131,7 @@ def test_the_recipe_finds_roll_and_direction_by_itself(targets: dict) -> None:
     ]
     stages = scaled_stages(0.46)
     assert [scale for scale, _ in stages] == [3, 2, 1]
-    assert stages[-1][1] == replace(STAGES[3], tilts_deg=STAGES[2].tilts_deg, rolls_deg=STAGES[2].rolls_deg)
+    assert stages[-1][1] == replace(STAGES[3], rolls_deg=STAGES[2].rolls_deg, other_ways=True)
     told: list[float] = []
     fit = fit_by_thickness(both, start, targets, stages, lambda fraction, _: told.append(fraction))
     tip_mm, turn_deg = off(fit.world_from_cad)

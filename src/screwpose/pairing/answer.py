@@ -30,6 +30,7 @@ from screwpose.pairing.landmark_fit import landmark_offsets_px
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.pairing.thickness import Quality
 from screwpose.registration import SearchResult
+from screwpose.registration.alternatives import SAME_SHIFT_MM, SAME_TURN_DEG, Rival
 from screwpose.similarity import SceneScore
 
 # Below the first a screw hardly covers metal in some view and someone should look; below the second it covers none.
@@ -167,6 +168,7 @@ def _screws(
             words, has_failed = _doubts_by_silhouette(post[index])
         else:
             words, has_failed = _doubts_by_energy(trial.quality.energies[index])
+            words += [_doubt_by_rival(rival) for rival in trial.quality.rivals if rival.index == index]
         if trial.found is not None and trial.found.at_bound[index]:
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
@@ -214,6 +216,17 @@ def _doubts_by_energy(energies: Mapping[str, float]) -> tuple[list[str], bool]:
         if energy < _CHECK_ENERGY
     ]
     return words, min(energies.values()) < _FAILED_ENERGY
+
+
+def _doubt_by_rival(rival: Rival) -> str:
+    """What a reader must know of another pose that explains the images as well."""
+    ways = []
+    if abs(rival.turn_deg) > SAME_TURN_DEG:
+        turn = "half a turn" if abs(rival.turn_deg) > 150.0 else f"{abs(rival.turn_deg):.0f} degrees"
+        ways.append(f"its roll may be {turn} off")
+    if abs(rival.shift_mm) > SAME_SHIFT_MM:
+        ways.append(f"it may sit {abs(rival.shift_mm):.1f} mm {'higher' if rival.shift_mm > 0.0 else 'deeper'}")
+    return f"the X-rays do not tell one pose from another: {' and '.join(ways)} ({rival.preference:.1f} sigma)"
 
 
 def _pairs(combination: Combination) -> tuple[dict[str, str], ...]:

@@ -16,6 +16,7 @@ from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import Progress, SearchResult
+from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import Stage, Targets, fit_by_thickness, scaled_stages
 from screwpose.registration.thickness_fit import Body, energies_of_each
@@ -27,11 +28,12 @@ _MOST_FACES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class Thickness:
-    """What combinations are registered with: the X-rays by scale, and closed meshes by model."""
+    """What combinations are registered with: the X-rays by scale; by model, closed meshes and their threads' leads."""
 
     targets: Targets
     stages: list[tuple[int, Stage]]
     meshes: dict[str, Mesh]
+    leads_mm: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +46,13 @@ class Quality:
     mark_chi_square : squared distances of the marks from the registered landmarks, over their variance: each screw
         has 4 numbers a view, and hardly any freedom left.
     marks : how many numbers that are.
+    rivals : other poses of its screws that the images do not rule out.
     """
 
     energies: tuple[dict[str, float], ...]
     mark_chi_square: float
     marks: int
+    rivals: tuple[Rival, ...] = ()
 
 
 def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
@@ -79,7 +83,8 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
         )
         for name, implant in case.implants.items()
     }
-    return Thickness(targets, stages, meshes)
+    leads_mm = {name: thread_lead_mm(case.implants[name], mesh) for name, mesh in meshes.items()}
+    return Thickness(targets, stages, meshes, leads_mm)
 
 
 def refine_by_thickness(
@@ -95,7 +100,8 @@ def refine_by_thickness(
     # Marks that are less sure hold less.
     looser = noise.sigma_px / LandmarkNoise().sigma_px
     stages = [(scale, replace(stage, mark_sigma_px=stage.mark_sigma_px * looser)) for scale, stage in thickness.stages]
-    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress)
+    leads_mm = [thickness.leads_mm[hypothesis.model] for hypothesis in combination.hypotheses]
+    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress, leads_mm)
     chi_square, marks = 0.0, 0
     for body, pose in zip(bodies, fit.world_from_cad, strict=True):
         assert body.marks is not None
@@ -106,7 +112,21 @@ def refine_by_thickness(
     shares = energies_of_each(finest, bodies, fit.world_from_cad)
     energies = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
     found = SearchResult(fit.world_from_cad, -float(np.mean(fit.linearised.energies)), 0, (False,) * len(bodies))
-    return found, Quality(energies, chi_square, marks)
+    return found, Quality(energies, chi_square, marks, _undecided(bodies, fit.rivals))
+
+
+def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+    """Those that the images hardly rule out; not those that look the same since the implant is symmetric."""
+    from screwpose.implants.symmetry import symmetry_order
+
+    left = []
+    for rival in rivals:
+        if rival.preference < DECIDED_SIGMAS:
+            implant = bodies[rival.index].implant
+            order = symmetry_order(implant.mesh, implant.tip_mm, implant.axis)
+            if not rival.is_the_same(order):
+                left.append(rival)
+    return tuple(left)
 
 
 def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:

@@ -9,9 +9,11 @@ import numpy as np
 
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
+from screwpose.registration.alternatives import Rival, better_ways, thread_lead_mm
+from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
 from screwpose.registration.search import Progress
-from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_candidates, fit_at_scale
+from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_candidates, energies_of_each, fit_at_scale
 from screwpose.similarity.thickness import GradientTarget
 
 Targets = Mapping[int, Sequence[GradientTarget]]
@@ -30,6 +32,8 @@ class Stage:
     mark_sigma_px : of the prior, in px of the X-ray: the marks hold the coarse stages and hardly the fine ones.
     tilts_deg : the axis is tilted by each of these about both axes across, before the iterations.
     rolls_deg : and the screw turned about it by each of these.
+    doubtful_below : screws that explain less of the energy near them in some view begin once more after this stage.
+    other_ways : whether other turns along each screw's thread are tried after the iterations.
     """
 
     pixel_mm: float
@@ -38,13 +42,16 @@ class Stage:
     mark_sigma_px: float
     tilts_deg: tuple[float, ...] = ()
     rolls_deg: tuple[float, ...] = ()
+    doubtful_below: float = 0.0
+    other_ways: bool = False
 
 
+_DOUBTFUL = 0.5
 # At 1024 px on 300 mm, magnified by 1.5, a pixel is 0.2 mm: these are an eighth of the resolution up to all of it.
 STAGES = (
     Stage(1.6, 6, 0.1, 2.0, tilts_deg=(-3.0, 0.0, 3.0), rolls_deg=tuple(np.arange(0.0, 360.0, 15.0).tolist())),
-    Stage(0.8, 6, 0.05, 2.0, rolls_deg=(0.0, 180.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0)),
-    Stage(0.4, 6, 0.02, 3.0, rolls_deg=(0.0, 180.0)),
+    Stage(0.8, 6, 0.05, 2.0, rolls_deg=(0.0, 180.0, -12.0, -8.0, -4.0, 4.0, 8.0, 12.0), doubtful_below=_DOUBTFUL),
+    Stage(0.4, 6, 0.02, 3.0, rolls_deg=(0.0, 180.0), other_ways=True),
     Stage(0.2, 5, 0.005, 3.0),
 )
 
@@ -60,9 +67,22 @@ def scaled_stages(mm_per_px: float, stages: Sequence[Stage] = STAGES) -> list[tu
         scale = max(1, round(stage.pixel_mm / mm_per_px))
         if scaled and scaled[-1][0] == scale:
             first = scaled.pop()[1]
-            stage = replace(stage, tilts_deg=first.tilts_deg, rolls_deg=first.rolls_deg)
+            stage = replace(
+                stage,
+                tilts_deg=first.tilts_deg,
+                rolls_deg=first.rolls_deg,
+                doubtful_below=max(first.doubtful_below, stage.doubtful_below),
+                other_ways=first.other_ways or stage.other_ways,
+            )
         scaled.append((scale, stage))
     return scaled
+
+
+@dataclass(frozen=True, eq=False)
+class RecipeFit(ScaleFit):
+    """Where all the stages ended, and what other poses of each screw were tried on the way."""
+
+    rivals: tuple[Rival, ...] = ()
 
 
 def fit_by_thickness(
@@ -71,32 +91,75 @@ def fit_by_thickness(
     targets: Targets,
     stages: Sequence[tuple[int, Stage]],
     progress: Progress | None = None,
-) -> ScaleFit:
+    leads_mm: Sequence[float] | None = None,
+) -> RecipeFit:
     """Register all screws together on the thickness model.
 
     A grid of directions and rolls before the first iterations repairs starts that would lock onto a wrong edge, a pale
-    tower in bright air beside a dark one; rolls before the finer scales find the half-turn and the thread's phase.
+    tower in bright air beside a dark one; a screw that explains little all the same begins once more without it. Rolls
+    before the finer scales find the half-turn, and other turns along the thread are fitted before they are judged.
 
     Parameters
     ----------
     start_world_from_cad : (4, 4) each, good to a few mm and degrees; the roll may be anything.
     stages : with their scales, as `scaled_stages` has them.
     progress : told after every stage; what it raises stops the work.
+    leads_mm : of each body's thread; None: as `thread_lead_mm` finds them.
     """
-    poses = [np.asarray(pose, dtype=np.float64) for pose in start_world_from_cad]
+    start = [np.asarray(pose, dtype=np.float64) for pose in start_world_from_cad]
+    if leads_mm is None:
+        leads_mm = [thread_lead_mm(body.implant, body.mesh) for body in bodies]
+    poses, rivals = start, list[Rival]()
     fit: ScaleFit | None = None
     for index, (scale, stage) in enumerate(stages):
         views = targets[scale]
         if progress is not None:
             progress(index / len(stages), f"fitting at 1/{scale} of the resolution")
-        if stage.tilts_deg:
-            poses = _best_of_each(views, bodies, poses, partial(_tilted, stage.tilts_deg))
-        if stage.rolls_deg:
-            poses = _best_of_each(views, bodies, poses, partial(_rolled, stage.rolls_deg))
-        fit = fit_at_scale(views, bodies, poses, stage.mark_sigma_px, stage.iterations, stage.enough_mm)
+        fit = _through(views, bodies, poses, stage, range(len(bodies)))
         poses = list(fit.world_from_cad)
+        if stage.doubtful_below > 0.0:
+            poses = _begun_again(bodies, start, poses, targets, stages[: index + 1])
+        if stage.other_ways:
+            poses, rivals = better_ways(views, bodies, poses, leads_mm, stage.mark_sigma_px, stage.enough_mm)
     assert fit is not None, "at least one stage"
-    return fit
+    return RecipeFit(tuple(poses), fit.linearised, fit.iterations, fit.last_step_mm, tuple(rivals))
+
+
+def _through(
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    stage: Stage,
+    which: Sequence[int],
+) -> ScaleFit:
+    """One stage: its grids for some of the bodies, then its iterations for all."""
+    if stage.tilts_deg:
+        poses = _best_of_each(views, bodies, poses, partial(_tilted, stage.tilts_deg), which)
+    if stage.rolls_deg:
+        poses = _best_of_each(views, bodies, poses, partial(_rolled, stage.rolls_deg), which)
+    return fit_at_scale(views, bodies, poses, stage.mark_sigma_px, stage.iterations, stage.enough_mm)
+
+
+def _begun_again(
+    bodies: Sequence[Body],
+    start: Sequence[FloatArray],
+    poses: Sequence[FloatArray],
+    targets: Targets,
+    stages: Sequence[tuple[int, Stage]],
+) -> list[FloatArray]:
+    """Let screws that explain little in some view begin once more, straight from their start.
+
+    The grid of directions turns a screw where it stands; started a mm off, the direction that looks best may be wrong.
+    """
+    scale, stage = stages[-1]
+    lowest = energies_of_each(targets[scale], bodies, poses).min(axis=1)
+    doubtful = np.flatnonzero(lowest < stage.doubtful_below).tolist()
+    if not doubtful:
+        return list(poses)
+    again = [start[number] if number in doubtful else pose for number, pose in enumerate(poses)]
+    for scale, stage in stages:
+        again = list(_through(targets[scale], bodies, again, replace(stage, tilts_deg=()), doubtful).world_from_cad)
+    return again if preference(targets[scale], bodies, again, poses) > 0.0 else list(poses)
 
 
 def _best_of_each(
@@ -104,11 +167,12 @@ def _best_of_each(
     bodies: Sequence[Body],
     poses: Sequence[FloatArray],
     candidates: Callable[[Body, FloatArray], list[FloatArray]],
+    which: Sequence[int],
 ) -> list[FloatArray]:
     """One screw after the other takes the candidate that explains most, the others as they stand."""
     best = list(poses)
-    for index, body in enumerate(bodies):
-        trials = candidates(body, best[index])
+    for index in which:
+        trials = candidates(bodies[index], best[index])
         best[index] = trials[int(np.argmax(energies_of_candidates(views, bodies, best, index, trials)))]
     return best
 

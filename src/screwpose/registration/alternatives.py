@@ -1,0 +1,216 @@
+"""Other poses of a registered screw that look much the same, and that no gradient leads to.
+
+A thread, screwed on, lies on itself: the further a screw is turned the further it moves along, and only its head tells
+how far. So the images hold a screw that was fitted by its thread in a valley that winds about its axis, and a wrong
+turn of the head stays where the coarse images left it, up to half a turn and half the thread's lead. Turned without
+the shift, the thread is out of phase and nothing looks better. What is tried is therefore turned and shifted together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from screwpose._types import FloatArray
+from screwpose.geometry import rigid
+from screwpose.implants.model import Implant, Mesh
+from screwpose.implants.symmetry import CONTINUOUS
+from screwpose.registration.checks import preference
+from screwpose.registration.initial import turned
+from screwpose.registration.thickness_fit import Body, energies_of_candidates, fit_at_scale
+from screwpose.similarity.thickness import GradientTarget
+
+_STEP_DEG = 15.0
+_FULL_TURN_DEG = (345.0, 360.0, 375.0)  # a slip by a whole thread
+_NEARBY_DEG = (-8.0, -4.0, 4.0, 8.0)
+_TRIED = 3
+# The right way, not fitted yet, explains nearly as much as a wrong one that is (development cases: 0.003 less).
+_PROMISING = 0.05
+_ITERATIONS = 3
+# Poses that the images prefer by less may as well be the other way. On development cases right ones are preferred to
+# all that was tried by 1.2 and more, half of them by 3.7.
+DECIDED_SIGMAS = 1.0
+SAME_TURN_DEG, SAME_SHIFT_MM = 10.0, 0.3  # nearer poses are one, not yet at rest
+_BESIDE_PX = 8.0
+_SECTION_MM = 0.3
+_SHANK = (0.2, 1.7)  # of the way from the tip to the centre: behind the nose, and before the head
+
+
+def thread_lead_mm(implant: Implant, mesh: Mesh) -> float:
+    """How far a full turn about the axis, right-handed, takes a screw towards its head; 0 where there is no thread.
+
+    Parameters
+    ----------
+    mesh : of the implant; a reduced one will do. It is cut across the implant's axis.
+    """
+    from screwpose.implants.sections import cut
+    from screwpose.implants.thread import SECTORS, find_thread
+
+    low_mm, high_mm = np.array(_SHANK) * implant.length_mm
+    heights = np.linspace(low_mm, high_mm, max(16, int((high_mm - low_mm) / _SECTION_MM)))
+    reach_mm = cut(mesh, implant.tip_mm, implant.axis, heights).reach(np.zeros(2), SECTORS)
+    if not np.isfinite(reach_mm).any():
+        return 0.0
+    thread = find_thread(reach_mm, float(heights[1] - heights[0]))
+    if thread is None:
+        return 0.0
+    return float(thread.pitch_mm * thread.starts * (1.0 if thread.right_handed else -1.0))
+
+
+def screwed(implant: Implant, world_from_cad: FloatArray, angle_rad: float, lead_mm: float) -> FloatArray:
+    """The pose (4, 4) after a turn about the axis V, right-handed, and the shift along V that the thread gives it."""
+    pose = turned(implant, world_from_cad, angle_rad)
+    pose[:3, 3] += lead_mm * angle_rad / (2.0 * np.pi) * (pose[:3, :3] @ implant.axis)
+    return pose
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another pose of a screw that was fitted too, and lost.
+
+    Parameters
+    ----------
+    index : which screw.
+    turn_deg, shift_mm : about its axis, -180 to 180, and along it, from the pose that won.
+    preference : by how many standard deviations the images prefer the winner; see `preference`.
+    """
+
+    index: int
+    turn_deg: float
+    shift_mm: float
+    preference: float
+
+    def is_the_same(self, order: int) -> bool:
+        """Whether the implant looks the same there, being symmetric; `order` as `symmetry_order` gives it."""
+        turn_deg = 0.0 if order == CONTINUOUS else self.turn_deg - 360.0 / order * round(self.turn_deg * order / 360.0)
+        return abs(turn_deg) <= SAME_TURN_DEG and abs(self.shift_mm) <= SAME_SHIFT_MM
+
+
+def better_ways(
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    leads_mm: Sequence[float],
+    mark_sigma_px: float,
+    enough_mm: float,
+) -> tuple[list[FloatArray], list[Rival]]:
+    """One screw after the other is tried at other turns along its thread; the best are fitted before they are judged.
+
+    Parameters
+    ----------
+    poses : (4, 4) each, registered at the views' scale.
+    leads_mm : of each body's thread, as `thread_lead_mm` gives it.
+    mark_sigma_px, enough_mm : as `fit_at_scale` has them.
+
+    Returns
+    -------
+    The poses that the images prefer, and what was tried for each screw beside them.
+    """
+    best = [np.asarray(pose, dtype=np.float64) for pose in poses]
+    rivals: dict[int, list[Rival]] = {}
+    for index in range(len(bodies)):
+        best, rivals[index] = _tried(views, bodies, best, index, leads_mm[index], mark_sigma_px, enough_mm)
+    undecided = [index for index in rivals if any(one.preference < DECIDED_SIGMAS for one in rivals[index])]
+    if len(bodies) > 1:  # what overlaps it was not yet at rest then
+        for index in undecided:
+            best, rivals[index] = _tried(views, bodies, best, index, leads_mm[index], mark_sigma_px, enough_mm)
+    return best, [rival for of_body in rivals.values() for rival in of_body]
+
+
+def _tried(
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    index: int,
+    lead_mm: float,
+    mark_sigma_px: float,
+    enough_mm: float,
+) -> tuple[list[FloatArray], list[Rival]]:
+    """One body's other ways, as `better_ways` has them."""
+    chosen = companions(views, bodies, poses, index)
+    own = chosen.index(index)
+    near = [bodies[number] for number in chosen]
+
+    def fitted(scene: list[FloatArray], pose: FloatArray) -> list[FloatArray]:
+        moved = [pose if number == own else other for number, other in enumerate(scene)]
+        return list(fit_at_scale(views, near, moved, mark_sigma_px, _ITERATIONS, enough_mm).world_from_cad)
+
+    best = [poses[number] for number in chosen]
+    best = fitted(best, _nearby(views, near, best, own, lead_mm))
+    lost: list[tuple[list[FloatArray], float]] = []
+    for trial in other_ways(views, near, best, own, lead_mm):
+        other = fitted(best, trial)
+        by = preference(views, near, other, best)
+        if by > DECIDED_SIGMAS:  # what lost to the one that was before is still to be compared with this one
+            lost = [(loser, preference(views, near, other, loser)) for loser, _ in lost] + [(best, by)]
+            best = other
+        else:
+            lost.append((other, -by))
+    found = [Rival(index, *_apart(bodies[index].implant, best[own], other[own]), by) for other, by in lost]
+    placed = list(poses)
+    for number, pose in zip(chosen, best, strict=True):
+        placed[number] = pose
+    return placed, [rival for rival in found if not rival.is_the_same(1)]
+
+
+def _apart(implant: Implant, world_from_cad: FloatArray, other: FloatArray) -> tuple[float, float]:
+    """The turn about the axis, deg, and the shift along it, mm, from one pose to another."""
+    axis = world_from_cad[:3, :3] @ implant.axis
+    level = rigid.rotation_between(other[:3, :3] @ implant.axis, axis) @ other[:3, :3]
+    turn = rigid.log_rotation(level @ world_from_cad[:3, :3].T) @ axis
+    shift = rigid.transform(other, implant.center_mm) - rigid.transform(world_from_cad, implant.center_mm)
+    return float(np.degrees(turn)), float(shift @ axis)
+
+
+def _nearby(
+    views: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], index: int, lead_mm: float
+) -> FloatArray:
+    """The way along the thread is long and flat: a few steps of it at once."""
+    angles_deg = (0.0, *_NEARBY_DEG)
+    trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
+    return trials[int(np.argmax(energies_of_candidates(views, bodies, poses, index, trials)))]
+
+
+def other_ways(
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    index: int,
+    lead_mm: float,
+) -> list[FloatArray]:
+    """Poses of one body, along its thread, that explain more than those beside them, the best first."""
+    angles_deg = np.arange(-195.0, 196.0, _STEP_DEG)  # half a turn may end a little beyond it
+    if lead_mm:
+        angles_deg = np.concatenate([np.negative(_FULL_TURN_DEG[::-1]), angles_deg, _FULL_TURN_DEG])
+    trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
+    energies = np.array(energies_of_candidates(views, bodies, poses, index, trials))
+    padded = np.concatenate([[-np.inf], energies, [-np.inf]])
+    is_peak = (energies >= padded[:-2]) & (energies >= padded[2:]) & (angles_deg != 0.0)
+    now = energies[len(energies) // 2]
+    if np.ptp(energies) < 1e-6:  # a body of revolution
+        return []
+    peaks = np.flatnonzero(is_peak & (energies > now - _PROMISING))
+    peaks = peaks[np.argsort(-energies[peaks], kind="stable")][:_TRIED]
+    return [trials[peak] for peak in peaks]
+
+
+def companions(
+    views: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], index: int
+) -> list[int]:
+    """The bodies that lie over or beside one of them in some view, itself among them; no others matter to it."""
+    found = {index}
+    for view in views:
+        boxes = [_box(view, body, pose) for body, pose in zip(bodies, poses, strict=True)]
+        low, high = boxes[index]
+        found |= {
+            number
+            for number, (first, last) in enumerate(boxes)
+            if bool((first <= high + _BESIDE_PX).all() and (last >= low - _BESIDE_PX).all())
+        }
+    return sorted(found)
+
+
+def _box(view: GradientTarget, body: Body, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    points = rigid.transform(view.camera_from_world @ pose, body.mesh.vertices_mm) @ view.intrinsics.T
+    pixels = points[:, :2] / np.maximum(points[:, 2:], 1e-6)
+    return pixels.min(axis=0), pixels.max(axis=0)
