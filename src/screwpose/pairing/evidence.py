@@ -73,12 +73,13 @@ def gather(case: Case, faces: int | None, silhouette: Silhouette, is_quick: bool
     faces : triangles a model is reduced to for the searches; None for the CAD as it is.
     silhouette, is_quick : as `Evidence` has them.
     """
-    from screwpose.implants.mesh import reduced
+    from screwpose.implants.reduction import reduced_to
 
     names, views = list(case.views), list(case.views.values())
     prepared = each_in_threads(_target_without_metal, views)
     meshes = {
-        name: implant.mesh if faces is None else reduced(implant.mesh, faces) for name, implant in case.implants.items()
+        name: implant.mesh if faces is None else reduced_to(implant.mesh, faces)
+        for name, implant in case.implants.items()
     }
     cameras = {name: view.camera for name, view in case.views.items()}
     targets = dict(zip(names, prepared, strict=True))

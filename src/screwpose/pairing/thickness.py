@@ -6,12 +6,16 @@ labels. The marks do. So once registered, a combination is judged by how far its
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from screwpose._threads import each_in_threads
 from screwpose._types import FloatArray
-from screwpose.files.case import Case
+from screwpose.files.case import Case, View
+from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
+from screwpose.implants.reduction import closed, reduced_within
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
@@ -20,10 +24,12 @@ from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, thread_le
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import Stage, Targets, fit_by_thickness, scaled_stages
 from screwpose.registration.thickness_fit import Body, energies_of_each
-from screwpose.similarity.thickness import make_gradient_target
+from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 
-# Larger models are reduced: twice the triangles that a screw with its tower needs for a hundredth of a millimetre.
-_MOST_FACES = 12_000
+# Models of more triangles are reduced, as far as moves their surface by no more than this share of a pixel at the
+# screws, and not below the second number, which is twice what a screw with its tower needs for a hundredth of a mm.
+_MANY_FACES, _FEWEST_FACES = 20_000, 12_000
+_SURFACE_BOUND_PX = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,24 +73,24 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
     MeshError
         A model encloses nothing, or its neighbouring faces disagree about the outside: along a ray there is no length.
     """
-    from screwpose.images import log_image
-    from screwpose.implants.closing import closed_mesh
-    from screwpose.implants.mesh import reduced
-
-    logs = {name: log_image(view.radiograph.pixels) for name, view in case.views.items()}
-    stages = scaled_stages(float(np.mean([view.camera.mm_per_px_at(center_mm) for view in case.views.values()])))
-    targets = {
-        scale: [make_gradient_target(logs[name], view.mask, view.camera, scale) for name, view in case.views.items()]
-        for scale, _ in stages
-    }
-    meshes = {
-        name: closed_mesh(
-            implant.mesh if len(implant.mesh.faces) <= _MOST_FACES else reduced(implant.mesh, _MOST_FACES)
-        )
-        for name, implant in case.implants.items()
-    }
+    mm_per_px = float(np.mean([view.camera.mm_per_px_at(center_mm) for view in case.views.values()]))
+    stages = scaled_stages(mm_per_px)
+    of_views = each_in_threads(partial(_targets_of, [scale for scale, _ in stages]), list(case.views.values()))
+    targets = {scale: [of_view[index] for of_view in of_views] for index, (scale, _) in enumerate(stages)}
+    meshes = {name: _fit_mesh(implant.mesh, mm_per_px) for name, implant in case.implants.items()}
     leads_mm = {name: thread_lead_mm(case.implants[name], mesh) for name, mesh in meshes.items()}
     return Thickness(targets, stages, meshes, leads_mm)
+
+
+def _targets_of(scales: Sequence[int], view: View) -> list[GradientTarget]:
+    log = log_image(view.radiograph.pixels)
+    return [make_gradient_target(log, view.mask, view.camera, scale) for scale in scales]
+
+
+def _fit_mesh(mesh: Mesh, mm_per_px: float) -> Mesh:
+    if len(mesh.faces) > _MANY_FACES:
+        mesh = reduced_within(mesh, _SURFACE_BOUND_PX * mm_per_px, _FEWEST_FACES)
+    return closed(mesh)
 
 
 def refine_by_thickness(
