@@ -3,4 +3,8 @@
 Research software: not a medical device, not for clinical use.
 """
 
+from screwpose._compiling import ensure_cache_folder
+
 __version__ = "0.1.0"
+
+ensure_cache_folder()

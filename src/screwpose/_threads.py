@@ -1,19 +1,38 @@
-"""Work that is cut into independent parts, done side by side: results never depend on how many threads there are."""
+"""The same function on several things at once, in threads: for compiled loops, which run without the interpreter's
+lock."""
 
-from collections.abc import Callable, Sequence
+import os
+import threading
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-Item = TypeVar("Item")
-Answer = TypeVar("Answer")
+_Item = TypeVar("_Item")
+_Value = TypeVar("_Value")
+_is_inside = threading.local()
 
 
-def each_in_threads(work: Callable[[Item], Answer], items: Sequence[Item]) -> list[Answer]:
-    """What `work` makes of every item, in their order, one thread an item: for a few X-rays, not for thousands.
+def available_threads() -> int:
+    """How many threads this process may run at once: $SCREWPOSE_THREADS, else one for each of its processors."""
+    wanted = os.environ.get("SCREWPOSE_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
-    The first error, in the order of the items, is raised when all are done.
+
+def in_threads(function: Callable[[_Item], _Value], items: Iterable[_Item]) -> list[_Value]:
+    """``[function(item) for item in items]``; the first error in the order of the items is raised.
+
+    Within such a thread it runs one after the other: what is outermost has the threads.
     """
-    if len(items) < 2:
-        return [work(item) for item in items]
-    with ThreadPoolExecutor(len(items)) as pool:
-        return list(pool.map(work, items))
+    todo = list(items)
+    threads = min(available_threads(), len(todo))
+    if threads < 2 or getattr(_is_inside, "value", False):
+        return [function(item) for item in todo]
+
+    def inside(item: _Item) -> _Value:
+        _is_inside.value = True
+        return function(item)
+
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(inside, todo))

@@ -11,6 +11,7 @@ SOURCE = ROOT / "src" / "screwpose"
 
 FLOORS = {
     "errors": 0,
+    "_compiling": 0,
     "_threads": 0,
     "_types": 0,
     "geometry": 1,

@@ -106,38 +106,3 @@ def test_model_derivatives_by_a_parameter_are_differences_of_the_model() -> None
     numeric = (model(lengths + 0.5 * change) - model(lengths - 0.5 * change)) / 1.0
     np.testing.assert_allclose(slopes[..., 0], numeric, atol=2e-6 + 0.02 * np.abs(numeric).max())
     np.testing.assert_allclose(slopes[..., 1], 2.0 * slopes[..., 0], atol=1e-6)
-
-
-def test_blocks_are_those_of_a_matrix_product() -> None:
-    from screwpose.similarity.kernels import add_block, add_gradient
-
-    rng = np.random.default_rng(6)
-    weights, residuals = rng.random((2, 30, 40)) * (rng.random((2, 30, 40)) < 0.5), rng.normal(size=(2, 30, 40))
-    windows = [(slice(3, 20), slice(5, 30)), (slice(12, 29), slice(0, 18)), (slice(22, 30), slice(30, 40))]
-    parts = [
-        rng.normal(size=(2, w[0].stop - w[0].start, w[1].stop - w[1].start, 6)).astype(np.float32) for w in windows
-    ]
-    whole = np.zeros((3, 2, 30, 40, 6))
-    for full, part, window in zip(whole, parts, windows, strict=True):
-        full[:, window[0], window[1]] = part
-    corners = [np.array([w[0].start, w[1].start]) for w in windows]
-    for i in range(3):
-        gradient = np.zeros(6)
-        add_gradient(parts[i], corners[i], weights, residuals, gradient)
-        np.testing.assert_allclose(gradient, np.einsum("drci,drc->i", whole[i], weights * residuals), rtol=1e-9)
-        for j in range(3):
-            block = np.zeros((6, 6))
-            add_block(parts[i], parts[j], np.concatenate([corners[i], corners[j]]), weights, block)
-            want = np.einsum("drci,drc,drcj->ij", whole[i], weights, whole[j])
-            np.testing.assert_allclose(block, want, rtol=1e-9, atol=1e-12)
-
-
-def test_normal_equations_are_those_of_a_matrix_product() -> None:
-    from screwpose.similarity.kernels import normal_equations
-
-    rng = np.random.default_rng(3)
-    for rows in (1, 2047, 5000):
-        columns, weights, target = rng.normal(size=(4, rows)), rng.random(rows), rng.normal(size=rows)
-        matrix, right = normal_equations(columns, weights, target)
-        np.testing.assert_allclose(matrix, (columns * weights) @ columns.T, rtol=1e-10, atol=1e-12)
-        np.testing.assert_allclose(right, (columns * weights) @ target, rtol=1e-10, atol=1e-12)

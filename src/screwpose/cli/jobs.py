@@ -3,6 +3,7 @@
 from pathlib import Path
 from time import perf_counter
 
+from screwpose._compiling import NOTE, must_compile
 from screwpose.errors import OutputError
 from screwpose.files.atomic import atomic_folder, ensure_can_write_folder
 from screwpose.files.case import Case, inspect_case, read_case
@@ -32,7 +33,8 @@ def solve_files(
     progress(0.0, "reading the case")
     case = read_case(case_path)
     loaded = perf_counter() - start
-    result = with_load_time(solve(case, options, lambda fraction, what: progress(0.02 + 0.88 * fraction, what)), loaded)
+    solving = _saying_that_it_compiles(lambda fraction, what: progress(0.02 + 0.88 * fraction, what))
+    result = with_load_time(solve(case, options, solving), loaded)
     comparison = None if truth_origin is None else _compared(case, result, Path(case_path), truth_origin)
     with atomic_folder(out) as partial:
         write_report(partial, case, result, comparison, lambda fraction, what: progress(0.9 + 0.1 * fraction, what))
@@ -60,7 +62,8 @@ def run_demo(
         start = perf_counter()
         case = read_case(case_path)
         loaded = perf_counter() - start
-        solved = solve(case, options, lambda fraction, what: progress(0.05 + 0.85 * fraction, what))
+        solving = _saying_that_it_compiles(lambda fraction, what: progress(0.05 + 0.85 * fraction, what))
+        solved = solve(case, options, solving)
         result = with_load_time(solved, loaded)
         comparison = _compared(case, result, case_path, "simulated")
         write_report(partial, case, result, comparison, lambda fraction, what: progress(0.9 + 0.1 * fraction, what))
@@ -76,6 +79,13 @@ def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Findin
     if case is None or errors_in(findings):
         return findings
     return findings + check_plausibility(case, LandmarkNoise(sigma_px=landmark_sigma_px))
+
+
+def _saying_that_it_compiles(progress: Progress) -> Progress:
+    """The same progress, each word followed by why it takes so long where it is the first time."""
+    if not must_compile():
+        return progress
+    return lambda fraction, what: progress(fraction, f"{what} ({NOTE})")
 
 
 def _refuse_to_replace(case_path: Path, out: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from screwpose._threads import each_in_threads
+from screwpose._threads import in_threads
 from screwpose._types import BoolArray, FloatArray
 from screwpose.files.case import Case, View
 from screwpose.geometry import Camera, rigid
@@ -76,7 +76,7 @@ def gather(case: Case, faces: int | None, silhouette: Silhouette, is_quick: bool
     from screwpose.implants.reduction import reduced_to
 
     names, views = list(case.views), list(case.views.values())
-    prepared = each_in_threads(_target_without_metal, views)
+    prepared = in_threads(_target_without_metal, views)
     meshes = {
         name: implant.mesh if faces is None else reduced_to(implant.mesh, faces)
         for name, implant in case.implants.items()
@@ -127,7 +127,7 @@ def with_metal(evidence: Evidence, case: Case, placed: Sequence[tuple[Combinatio
         return target.with_metal(metal & near)
 
     names = list(evidence.targets)
-    return replace(evidence, targets=dict(zip(names, each_in_threads(of_view, names), strict=True)))
+    return replace(evidence, targets=dict(zip(names, in_threads(of_view, names), strict=True)))
 
 
 def _near(covered: BoolArray, reach_px: int) -> BoolArray:

@@ -17,7 +17,7 @@ from screwpose.errors import BehindSourceError, GeometryError
 
 # Faces that a ray grazes change its length without bound; below this cosine their share is held down. The lengths near
 # a body's rim are blurred over more than that wherever they are used.
-_LEAST_COSINE = 0.03
+LEAST_COSINE = 0.03
 
 Window = tuple[slice, slice]
 """Rows and columns of a part of the image."""
@@ -73,28 +73,40 @@ def path_lengths(
     GeometryError
         The camera's frame is left-handed: lengths would come out negative.
     """
-    from screwpose.projection import kernels
+    from screwpose.projection.length_kernels import draw
 
     if np.linalg.det(camera_from_cad[:3, :3]) < 0:
         raise GeometryError("a camera frame that is left-handed: mirror the image, and its matrix, first")
-    rows, columns = (part.stop - part.start for part in window)
-    first_row, first_column = window[0].start, window[1].start
-    points, u, v = np.empty((len(vertices_mm), 3)), np.empty(len(vertices_mm)), np.empty(len(vertices_mm))
-    nearest_mm = kernels.to_camera(camera_from_cad, intrinsics, vertices_mm, points, u, v)
-    if len(vertices_mm) and not nearest_mm > 0.0:
-        raise BehindSourceError(f"a vertex at a depth of {nearest_mm:.4g} mm is not in front of the X-ray source")
-    depths = np.zeros((rows, columns))
-    with_motion = motion is not None
-    slopes, moments = (np.zeros((rows, columns, 3) if with_motion else (0, 0, 3)) for _ in range(2))
-    by_motion = np.zeros((rows, columns, 6) if with_motion else (0, 0, 6), dtype=np.float32)
-    inverse: FloatArray = np.asarray(np.linalg.inv(intrinsics), dtype=np.float64)
     frame = motion or MotionFrame()
-    kernels.add_depths(points, u, v, faces, inverse, first_row, first_column, depths, slopes, moments, _LEAST_COSINE)
-    kernels.finish_lengths(
-        depths, slopes, moments, inverse, first_row, first_column, np.ascontiguousarray(frame.pivot_mm),
-        np.ascontiguousarray(frame.world_from_camera), by_motion,
-    )  # fmt: skip
-    return PathLengths(depths, by_motion if with_motion else None)
+    camera_from_axes = np.eye(4)
+    camera_from_axes[:3, :3] = frame.world_from_camera.T
+    bounds = np.array([window[0].start, window[0].stop, window[1].start, window[1].stop])
+    drawn = draw(
+        np.ascontiguousarray(intrinsics, dtype=np.float64),
+        camera_from_axes,
+        np.ascontiguousarray(np.linalg.inv(camera_from_axes) @ camera_from_cad)[None],
+        np.linalg.solve(camera_from_cad, np.append(frame.pivot_mm, 1.0))[None, :3].copy(),
+        np.ascontiguousarray(vertices_mm, dtype=np.float64),
+        np.array([0, len(vertices_mm)]),
+        np.ascontiguousarray(faces, dtype=np.int64),
+        np.array([0, len(faces)]),
+        bounds,
+        motion is not None,
+        LEAST_COSINE,
+    )
+    if len(vertices_mm) and not drawn.nearest_mm > 0.0:
+        raise BehindSourceError(f"a vertex at a depth of {drawn.nearest_mm:.4g} mm is not in front of the X-ray source")
+    rows, columns = (part.stop - part.start for part in window)
+    lengths_mm = np.zeros((rows, columns))
+    by_motion = np.zeros((rows, columns, 6), dtype=np.float32)
+    for row, (first, last, begin) in enumerate(
+        zip(drawn.first_column, drawn.last_column, drawn.offset[:-1], strict=True), drawn.first_row[0] - bounds[0]
+    ):
+        own, values = slice(first - bounds[2], last - bounds[2]), slice(begin, begin + last - first)
+        lengths_mm[row, own] = drawn.lengths_mm[values]
+        if motion is not None:
+            by_motion[row, own] = drawn.by_motion[:, values].T
+    return PathLengths(lengths_mm, None if motion is None else by_motion)
 
 
 def rays_of_depth_one(detector_from_ray: FloatArray, window: Window) -> FloatArray:

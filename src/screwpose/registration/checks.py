@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from screwpose._types import FloatArray
-from screwpose.registration.thickness_fit import Body, rendered, together
-from screwpose.similarity.thickness import GradientTarget, explain
+from screwpose.registration.thickness_fit import Body, packed
+from screwpose.similarity.assessment import assess
+from screwpose.similarity.thickness import CAUCHY, GradientTarget
 
-_CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
 # Smoothing ties residuals together over some 4 px, anatomy and the detector's texture over more.
 _BLOCK_PX = 16
 
@@ -51,18 +51,18 @@ def _differences(
     near = np.zeros(shape, dtype=np.bool_)
     residuals = []
     spread = np.inf
+    together = packed(bodies)
     for scene in (poses, others):
-        patches = [rendered(view, body, pose, with_motion=False) for body, pose in zip(bodies, scene, strict=True)]
-        window, lengths_mm = together(patches)
-        explanation = explain(view, lengths_mm, window)
+        assessment = assess(view, together, scene)
+        rows, columns, left_over = assessment.compared()
         left = np.stack([view.along_u, view.along_v]).astype(np.float64)
-        left[:, *window][:, explanation.near] = explanation.residuals
-        near[window] |= explanation.near
+        left[:, rows, columns] = left_over
+        near[rows, columns] = True
         residuals.append(left)
-        spread = min(spread, explanation.spread)
+        spread = min(spread, assessment.spread)
     if not near.any():
         return np.zeros(0)
-    loss = [0.5 * _CAUCHY**2 * np.log1p((one / (_CAUCHY * spread)) ** 2).sum(axis=0) for one in residuals]
+    loss = [0.5 * CAUCHY**2 * np.log1p((one / (CAUCHY * spread)) ** 2).sum(axis=0) for one in residuals]
     gain = np.where(near, loss[1] - loss[0], 0.0)
     rows, columns = np.nonzero(near)
     across = -(-shape[1] // _BLOCK_PX)

@@ -9,27 +9,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from screwpose._threads import in_threads
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.implants.model import Implant, Mesh
-from screwpose.projection.thickness import MotionFrame, Window, path_lengths
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.similarity.thickness import (
-    Explanation,
-    GradientTarget,
-    derivatives,
-    explain,
-    near_metal,
-    response_slope,
-)
+from screwpose.similarity.assessment import Bodies, assess
+from screwpose.similarity.thickness import GradientTarget
 
 # Derivatives that were smoothed by 1.3 px share their noise with their neighbours: so many of them count as one.
 _CORRELATED_PX = 8.0
 _DAMPING = 1e-4
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
-_MARGIN_PX = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,82 +49,18 @@ class Linearised:
     energies: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
-    """One body in one view: its path lengths in the part of the image where it is, and how they change.
-
-    Parameters
-    ----------
-    by_motion : (rows, columns, 6), by a rotation vector in world about its centre, then by a shift in world.
-    """
-
-    window: Window
-    lengths_mm: FloatArray
-    by_motion: NDArray[np.float32] | None
-
-
-def rendered(target: GradientTarget, body: Body, pose: FloatArray, with_motion: bool) -> Patch:
-    """Draw one body at a pose."""
-    camera_from_cad = target.camera_from_world @ pose
-    window = _window(target, rigid.transform(camera_from_cad, body.mesh.vertices_mm))
-    frame = None
-    if with_motion:
-        center = rigid.transform(camera_from_cad, body.implant.center_mm)
-        frame = MotionFrame(center, target.camera_from_world[:3, :3].T)
-    found = path_lengths(target.intrinsics, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, window, frame)
-    return Patch(window, found.lengths_mm, found.by_motion)
-
-
-def _window(target: GradientTarget, points_mm: FloatArray) -> Window:
-    """Where points in the camera's frame are in the image, and as much around them as derivatives reach."""
-    homogeneous = points_mm @ target.intrinsics.T
-    pixels = homogeneous[:, :2] / np.maximum(homogeneous[:, 2:], 1e-6)
-    rows, columns = target.shape
-    first = np.clip(np.floor(pixels.min(axis=0)) - _MARGIN_PX, 0, [columns - 1, rows - 1]).astype(int)
-    last = np.clip(np.ceil(pixels.max(axis=0)) + _MARGIN_PX + 1, first + 1, [columns, rows]).astype(int)
-    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
-
-
-def together(patches: Sequence[Patch]) -> tuple[Window, FloatArray]:
-    """The window that holds all bodies, and the path lengths of all of them in it."""
-    window = tuple(
-        slice(min(patch.window[axis].start for patch in patches), max(patch.window[axis].stop for patch in patches))
-        for axis in range(2)
-    )
-    lengths: FloatArray = np.zeros([part.stop - part.start for part in window])
-    for patch in patches:
-        lengths[_inside(patch.window, window)] += patch.lengths_mm
-    return (window[0], window[1]), lengths
-
-
-def _inside(part: Window, whole: Sequence[slice]) -> Window:
-    """A window of the image as a part of a larger one."""
-    rows, columns = (
-        slice(own.start - all_.start, own.stop - all_.start) for own, all_ in zip(part, whole, strict=True)
-    )
-    return rows, columns
+def packed(bodies: Sequence[Body]) -> Bodies:
+    """The bodies as they are drawn together."""
+    return Bodies([body.mesh for body in bodies], np.stack([body.implant.center_mm for body in bodies]))
 
 
 def energies_of_each(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
 ) -> FloatArray:
-    """The explained share of the gradient energy near each body, (B, V): all bodies explain, one is looked at.
-
-    One screw that went astray among many would hardly show in the energy of the whole.
-    """
-    shares = np.zeros((len(bodies), len(targets)))
-    for column, target in enumerate(targets):
-        patches = [rendered(target, body, pose, with_motion=False) for body, pose in zip(bodies, poses, strict=True)]
-        window, lengths = together(patches)
-        explanation = explain(target, lengths, window)
-        left = explanation.image_of(explanation.residuals)
-        for row, patch in enumerate(patches):
-            place = _inside(patch.window, window)
-            near = near_metal(target, patch.lengths_mm) & explanation.near[place]
-            seen = np.stack([target.along_u[patch.window][near], target.along_v[patch.window][near]])
-            total = float(np.sum(seen.astype(np.float64) ** 2))
-            shares[row, column] = 1.0 - float(np.sum(left[:, *place][:, near] ** 2)) / max(total, 1e-300)
-    return shares
+    """The explained share of the gradient energy near each body, (B, V): all bodies explain, one is looked at."""
+    together = packed(bodies)
+    views = in_threads(lambda target: assess(target, together, poses, with_shares=True), targets)
+    return np.stack([view.shares for view in views], axis=1)
 
 
 def energies_of_candidates(
@@ -143,73 +71,40 @@ def energies_of_candidates(
     candidates: Sequence[FloatArray],
 ) -> list[float]:
     """The explained energy, mean of the views, with one body at each of several poses and the others as they stand."""
-    shares = np.zeros((len(candidates), len(targets)))
-    for column, target in enumerate(targets):
-        others = [
-            rendered(target, body, pose, with_motion=False)
-            for number, (body, pose) in enumerate(zip(bodies, poses, strict=True))
-            if number != index
-        ]
-        for row, candidate in enumerate(candidates):
-            window, lengths = together([*others, rendered(target, bodies[index], candidate, with_motion=False)])
-            shares[row, column] = explain(target, lengths, window).energy
-    return [float(share) for share in shares.mean(axis=1)]
+    together = packed(bodies)
+    scenes = [[*poses[:index], candidate, *poses[index + 1 :]] for candidate in candidates]
+
+    def energy(scene: Sequence[FloatArray]) -> float:
+        return float(np.mean([assess(target, together, scene).energy for target in targets]))
+
+    return in_threads(energy, scenes)
+
+
+def linearised_views(
+    targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
+) -> list[Linearised]:
+    """The normal equations of each view by itself, without the marks."""
+    together = packed(bodies)
+    views = in_threads(lambda target: assess(target, together, poses, with_normal_equations=True), targets)
+    return [
+        Linearised(view.information / _CORRELATED_PX, view.gradient / _CORRELATED_PX, (view.energy,)) for view in views
+    ]
 
 
 def linearised(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], mark_sigma_px: float
 ) -> Linearised:
     """The normal equations of all views and marks at some poses."""
-    size = 6 * len(bodies)
-    information, gradient = np.zeros((size, size)), np.zeros(size)
-    energies = []
-    for target in targets:
-        patches = [rendered(target, body, pose, with_motion=True) for body, pose in zip(bodies, poses, strict=True)]
-        window, lengths = together(patches)
-        explanation = explain(target, lengths, window)
-        energies.append(explanation.energy)
-        if explanation.near.any():
-            _add_view(target, patches, window, lengths, explanation, information, gradient)
+    views = linearised_views(targets, bodies, poses)
+    information = np.sum([view.information for view in views], axis=0)
+    gradient = np.sum([view.gradient for view in views], axis=0)
     for index, (body, pose) in enumerate(zip(bodies, poses, strict=True)):
         if body.marks is not None:
             own = slice(6 * index, 6 * index + 6)
             residuals, slopes = mark_residuals(body.implant, pose, body.marks, mark_sigma_px)
             information[own, own] += slopes.T @ slopes
             gradient[own] += slopes.T @ residuals
-    return Linearised(information, gradient, tuple(energies))
-
-
-def _add_view(
-    target: GradientTarget,
-    patches: Sequence[Patch],
-    window: Window,
-    lengths_mm: FloatArray,
-    explanation: Explanation,
-    information: FloatArray,
-    gradient: FloatArray,
-) -> None:
-    """Add one view's part to the normal equations; bodies whose windows do not meet have none in common."""
-    from screwpose.similarity.kernels import add_block, add_gradient
-
-    weights = explanation.image_of(explanation.weights / (explanation.spread**2 * _CORRELATED_PX))
-    residuals = explanation.image_of(explanation.residuals)
-    slope = response_slope(explanation.response, lengths_mm)
-    places = [_inside(patch.window, window) for patch in patches]
-    corners = [np.array([place[0].start, place[1].start]) for place in places]
-    moved = []
-    for patch, place in zip(patches, places, strict=True):
-        assert patch.by_motion is not None
-        moved.append(derivatives(target, slope[place], patch.by_motion))
-    for i, (first, corner) in enumerate(zip(moved, corners, strict=True)):
-        own = slice(6 * i, 6 * i + 6)
-        add_gradient(first, corner, weights, residuals, gradient[own])
-        for j in range(i, len(moved)):
-            block = np.zeros((6, 6))
-            add_block(first, moved[j], np.concatenate([corner, corners[j]]), weights, block)
-            other = slice(6 * j, 6 * j + 6)
-            information[own, other] += block
-            if i != j:
-                information[other, own] += block.T
+    return Linearised(information, gradient, tuple(view.energies[0] for view in views))
 
 
 def changed(body: Body, world_from_cad: FloatArray, change: FloatArray) -> FloatArray:

@@ -5,13 +5,12 @@ sums, divided by the root of its transitions, counted 64 at a time. The result i
 rounding.
 """
 
-import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
+from screwpose._threads import available_threads, in_threads
 from screwpose._types import BoolArray, FloatArray
 from screwpose.geometry import Camera
 from screwpose.implants.model import Mesh
@@ -51,7 +50,7 @@ class SceneEngine:
             _ = target.rows, target.metal_rows
         self._metal_areas = [int(np.bitwise_count(target.metal_rows).sum()) for target in targets.values()]
         self._bodies = packed_bodies([(mesh.vertices_mm, mesh.faces) for mesh in meshes])
-        self._threads = threads or os.cpu_count() or 1
+        self._threads = threads or available_threads()
 
     def scores(self, world_from_cad: FloatArray) -> EngineScores:
         """Loss and Dice of every scene in every view.
@@ -73,11 +72,7 @@ class SceneEngine:
                 loss[part, index], overlap[part, index] = self._score(index, poses[part])
 
         parts = [slice(*ends) for ends in _even_parts(len(poses), self._threads)]
-        if len(parts) == 1:
-            score(parts[0])
-        else:
-            with ThreadPoolExecutor(len(parts)) as pool:
-                list(pool.map(score, parts))
+        in_threads(score, parts)
         return EngineScores(loss, overlap)
 
     def mask(self, world_from_cad: FloatArray, view_name: str) -> BoolArray:

@@ -1,76 +1,196 @@
-"""Compiled normal equations of the thickness fit."""
+"""Compiled loops of the thickness measure: from poses to explained energy and normal equations in one call.
+
+The same maths as `thickness.explain` and `thickness.derivatives`, which are the reference; what differs is that values
+are kept for the pixels near metal alone, row by row, and that nothing is handed back but a few numbers. One thread,
+without the interpreter's lock: callers run views and scenes in several threads. Sums have one order whatever their
+number, so that the same input gives the same bits on a machine.
+"""
+
+from collections import namedtuple
 
 import numpy as np
 from numba import njit
 
+from screwpose.projection.length_kernels import draw
+from screwpose.similarity.motion_kernels import add_normal_equations
+from screwpose.similarity.near_kernels import (
+    add_row,
+    along_row,
+    long_product,
+    mark_near,
+    near_runs,
+    scattered,
+    spread_to_rows,
+)
+from screwpose.similarity.response_kernels import fit_response
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})  # sums several lanes at once
-def normal_equations(columns, weights, target):
-    """``A^T W A`` (n, n) and ``A^T W b`` (n,) of columns (n, rows), weights (rows,) and target (rows,).
+View = namedtuple(
+    "View", ["intrinsics", "camera_from_world", "along_u", "along_v", "counts", "smooth", "slope", "bounds"]
+)
+"""One X-ray: see `thickness.GradientTarget`. smooth, slope (reach + 1,): the taps of the smoothing and of its
+derivative from the middle outwards. bounds (4,): first row, its end, first column, its end."""
 
-    Summed in one order whatever the number of threads, so that the same input gives the same bits on a machine; in
-    blocks that the cache holds.
-    """
-    n, rows = columns.shape
-    matrix, right = np.zeros((n, n)), np.zeros(n)
-    block = 2048
-    weighted = np.empty(block)
-    for begin in range(0, rows, block):
-        end = min(begin + block, rows)
-        for i in range(n):
-            for k in range(begin, end):
-                weighted[k - begin] = columns[i, k] * weights[k]
-            total = 0.0
-            for k in range(begin, end):
-                total += weighted[k - begin] * target[k]
-            right[i] += total
-            for j in range(i, n):
-                total = 0.0
-                for k in range(begin, end):
-                    total += weighted[k - begin] * columns[j, k]
-                matrix[i, j] += total
-    for i in range(n):
-        for j in range(i):
-            matrix[i, j] = matrix[j, i]
-    return matrix, right
+Bodies = namedtuple("Bodies", ["vertices_mm", "vertex_start", "faces", "face_start", "centers_mm"])
+"""The meshes of all bodies, one after the other, and the points (B, 3) in their CAD frames about which they turn."""
+
+Constants = namedtuple(
+    "Constants",
+    ["saturation_mm", "longest_mm", "least_mm", "rim_share", "cauchy", "reweighted", "samples", "least_cosine"],
+)
+"""See `thickness`, where they are set."""
+
+Assessed = namedtuple(
+    "Assessed",
+    ["energy", "spread", "response", "shares", "information", "gradient", "near", "mask", "residuals", "nearest_mm"],
+)
+"""energy, spread, response (n,): see `thickness.Explanation`. shares (B,): the energy near each body. information
+(6 B, 6 B) and gradient (6 B,): the normal equations, in units of 1 over the squared spread of one pixel. All of them
+empty or 0 where they are not wanted. mask (N,) and residuals (2, N): of the pixels in the runs of `near`. nearest_mm is
+the smallest depth of a vertex: not positive, nothing was done."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def add_block(first, second, offset, weights, block):
-    """Add ``A^T W B`` of two bodies' derivatives to a block (6, 6), over the pixels that both windows hold.
+@njit(cache=True, nogil=True, error_model="numpy")
+def assess(view, bodies, world_from_cad, constants, with_normal_equations, with_shares):
+    """Draw bodies at poses, fit the response, and see what is left: `Assessed`.
 
     Parameters
     ----------
-    first, second : (2, rows, columns, 6), of the image's derivatives along u and v by each body's motion.
-    offset : (4,), row and column of the first's window, then of the second's, in the weights' image.
-    weights : (2, rows, columns), of the residuals; 0 where nothing is compared.
+    view, bodies, constants : `View`, `Bodies`, `Constants`.
+    world_from_cad : (B, 4, 4).
     """
-    top, left = max(offset[0], offset[2]), max(offset[1], offset[3])
-    bottom = min(offset[0] + first.shape[1], offset[2] + second.shape[1])
-    right = min(offset[1] + first.shape[2], offset[3] + second.shape[2])
-    total = np.zeros((6, 6))
+    count = world_from_cad.shape[0]
+    terms = len(constants.saturation_mm)
+    drawn = draw(
+        view.intrinsics, view.camera_from_world, world_from_cad, bodies.centers_mm, bodies.vertices_mm,
+        bodies.vertex_start, bodies.faces, bodies.face_start, view.bounds, with_normal_equations,
+        constants.least_cosine,
+    )  # fmt: skip
+    unknowns = 6 * count if with_normal_equations else 0
+    information, gradient = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
+    shares = np.zeros(count if with_shares else 0)
+    reach = len(view.smooth) - 1
+    near = near_runs(drawn, reach, view.bounds)
+    size = near.offset[-1]
+    if size == 0 or not drawn.nearest_mm > 0.0:
+        mask, residuals = np.zeros(size, np.float32), np.zeros((2, size), np.float32)
+        return Assessed(
+            0.0, 1.0, np.zeros(terms), shares, information, gradient, near, mask, residuals, drawn.nearest_mm
+        )
+    rows = len(near.run_start) - 1
+    left, right = near.first_column[0], near.last_column[0]
+    for run in range(len(near.first_column)):
+        left, right = min(left, near.first_column[run]), max(right, near.last_column[run])
+    window = (near.first_row, left)
+    # All bodies' path lengths together, and which pixels metal reaches.
+    total_mm = np.zeros((rows, right - left), np.float32)
+    flags = np.zeros((rows, right - left), np.uint8)
+    for body in range(count):
+        for place in range(drawn.row_start[body], drawn.row_start[body + 1]):
+            row = drawn.first_row[body] + place - drawn.row_start[body] - near.first_row
+            for k in range(drawn.offset[place], drawn.offset[place + 1]):
+                total_mm[row, drawn.first_column[place] + k - drawn.offset[place] - left] += np.float32(
+                    drawn.lengths_mm[k]
+                )
+        mark_near(drawn, body, reach, constants.least_mm, view.bounds, window, flags)
+    image, mask = np.empty((2, size), np.float32), np.empty(size, np.float32)
+    found = np.empty(right - left, np.uint8)
+    for row in range(rows):
+        y = near.first_row + row
+        for run in range(near.run_start[row], near.run_start[row + 1]):
+            first, last = near.first_column[run], near.last_column[run]
+            spread_to_rows(flags, row, first - left, last - left, reach, found[: last - first])
+            for k in range(last - first):
+                place = near.offset[run] + k
+                image[0, place], image[1, place] = view.along_u[y, first + k], view.along_v[y, first + k]
+                mask[place] = np.float32(1.0 if found[k] and view.counts[y, first + k] else 0.0)
+    basis = _basis(total_mm, near, window, view, constants)
+    weights, model, residuals = np.empty_like(image), np.empty_like(image), np.empty_like(image)
+    response, spread = fit_response(basis, image, mask, weights, model, residuals, constants)
+    left_over, seen = 0.0, 0.0
     for along in range(2):
-        for row in range(top, bottom):
-            for column in range(left, right):
-                weight = weights[along, row, column]
-                if weight != 0.0:
-                    a = first[along, row - offset[0], column - offset[1]]
-                    b = second[along, row - offset[2], column - offset[3]]
-                    for i in range(6):
-                        scaled = weight * np.float64(a[i])
-                        for j in range(6):
-                            total[i, j] += scaled * b[j]
-    block += total
+        left_over += long_product(residuals[along] * mask, residuals[along])
+        seen += long_product(image[along] * mask, image[along])
+    energy = 1.0 - left_over / max(seen, 1e-300) if seen > 0.0 else 0.0
+    if with_shares:
+        _share(drawn, near, window, flags, reach, view, constants, image, mask, residuals, shares)
+    if with_normal_equations:
+        placed = np.zeros((4, rows, right - left), np.float32)
+        for along in range(2):
+            scattered(near, window, weights[along], placed[along])
+            scattered(near, window, residuals[along], placed[2 + along])
+        add_normal_equations(
+            drawn, view, response, constants, total_mm, window, placed[:2], placed[2:], information, gradient
+        )
+    return Assessed(energy, spread, response, shares, information, gradient, near, mask, residuals, drawn.nearest_mm)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-def add_gradient(first, offset, weights, residuals, gradient):
-    """Add ``A^T W r`` of a body's derivatives to its part (6,) of the right side; as `add_block`."""
-    for along in range(2):
-        for row in range(first.shape[1]):
-            for column in range(first.shape[2]):
-                weight = weights[along, row + offset[0], column + offset[1]]
-                if weight != 0.0:
-                    weight *= residuals[along, row + offset[0], column + offset[1]]
-                    for i in range(6):
-                        gradient[i] += weight * np.float64(first[along, row, column, i])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _basis(total_mm, near, window, view, constants):
+    """Derivatives of the saturating exponentials of the path length, (n, 2, N); clips the lengths in place."""
+    left = window[1]
+    rows, columns = total_mm.shape
+    reach = len(view.smooth) - 1
+    terms = len(constants.saturation_mm)
+    # Metal's own span in each row: the filters along it are 0 elsewhere.
+    begins, ends = np.full(rows, columns), np.zeros(rows, np.int64)
+    for row in range(rows):
+        for run in range(near.run_start[row], near.run_start[row + 1]):
+            for column in range(near.first_column[run] - left, near.last_column[run] - left):
+                length = total_mm[row, column]
+                if length != np.float32(0.0):
+                    total_mm[row, column] = min(max(length, np.float32(0.0)), np.float32(constants.longest_mm))
+                    begins[row] = min(begins[row], column)
+                    ends[row] = column + 1
+    basis = np.zeros((terms, 2, near.offset[-1]), np.float32)
+    smoothed, sloped = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
+    padded = np.zeros(columns + 2 * reach, np.float32)
+    for term in range(terms):
+        per_mm = np.float32(-1.0 / constants.saturation_mm[term])
+        for row in range(rows):
+            if ends[row] <= begins[row]:
+                continue
+            first, last = max(begins[row] - reach, 0), min(ends[row] + reach, columns)
+            padded[: last - first + 2 * reach] = np.float32(0.0)
+            for column in range(begins[row], ends[row]):
+                length = total_mm[row, column]
+                if length != np.float32(0.0):
+                    padded[column - first + reach] = np.float32(1.0) - np.exp(length * per_mm)
+            along_row(padded, last - first, view.smooth, view.slope, smoothed[row, first:last], sloped[row, first:last])
+        for row in range(rows):
+            for run in range(near.run_start[row], near.run_start[row + 1]):
+                first, last = near.first_column[run] - left, near.last_column[run] - left
+                for other in range(max(row - reach, 0), min(row + reach + 1, rows)):
+                    if ends[other] <= begins[other]:
+                        continue
+                    begin, end = max(first, begins[other] - reach), min(last, ends[other] + reach)
+                    if begin >= end:
+                        continue
+                    away = other - row
+                    steep = view.slope[abs(away)] if away > 0 else -view.slope[abs(away)]
+                    goal = slice(near.offset[run] + begin - first, near.offset[run] + end - first)
+                    add_row(
+                        smoothed[other, begin:end], sloped[other, begin:end], view.smooth[abs(away)], steep,
+                        basis[term, 0, goal], basis[term, 1, goal],
+                    )  # fmt: skip
+    return basis
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _share(drawn, near, window, flags, reach, view, constants, image, mask, residuals, shares):
+    """The explained share of the energy near each body: all bodies explain, one is looked at."""
+    found = np.empty(flags.shape[1], np.uint8)
+    left = window[1]
+    for body in range(len(shares)):
+        flags[:] = 0
+        mark_near(drawn, body, reach, constants.least_mm, view.bounds, window, flags)
+        seen, left_over = 0.0, 0.0
+        for row in range(flags.shape[0]):
+            for run in range(near.run_start[row], near.run_start[row + 1]):
+                first, last = near.first_column[run] - left, near.last_column[run] - left
+                spread_to_rows(flags, row, first, last, reach, found[: last - first])
+                for k in range(last - first):
+                    place = near.offset[run] + k
+                    if found[k] and mask[place] > 0:
+                        seen += image[0, place] ** 2 + image[1, place] ** 2
+                        left_over += residuals[0, place] ** 2 + residuals[1, place] ** 2
+        shares[body] = 1.0 - left_over / max(seen, 1e-300) if seen > 0.0 else 0.0

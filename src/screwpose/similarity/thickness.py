@@ -5,6 +5,8 @@ the path length L through the posed CAD is mapped by a response ``s(L)`` to what
 with the log image in the gradient domain, where whatever is smooth, the patient and scatter, hardly counts. The
 response is a sum of saturating exponentials with weights that are not negative: monotone, as beam hardening and any
 display are, and fitted to each view by itself.
+
+`explain` and what follows it are the reference, in NumPy and OpenCV; `assessment` does the same in compiled loops.
 """
 
 from dataclasses import dataclass
@@ -19,14 +21,16 @@ from screwpose.geometry import Camera
 GradientArray = NDArray[np.float32]
 
 # Thicknesses over which the response saturates, mm: thick cobalt-chrome is opaque after 2, titanium after 20.
-_CONSTANTS_MM = np.array([0.7, 2.0, 6.0, 15.0, 40.0], dtype=np.float32)
+SATURATION_MM = np.array([0.7, 2.0, 6.0, 15.0, 40.0], dtype=np.float32)
 # Longer paths no screw has; what an open mesh leaves behind must not overflow an exponential.
-_LONGEST_MM = 80.0
+LONGEST_MM = 80.0
+# Shorter ones are what rounding leaves where a body's walls cancel.
+LEAST_MM = 1e-6
 # Pixels on the model's edges, where its gradient exceeds this share of its 99th percentile, tell the residuals' scale.
-_RIM_SHARE = 0.15
-_CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
-_REWEIGHTED = 2
-_SAMPLES = 20_000
+RIM_SHARE = 0.15
+CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
+REWEIGHTED = 2
+SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,15 +110,19 @@ def _reach_px(blur_px: float) -> int:
     return int(np.ceil(4.0 * blur_px))
 
 
-def _differentiated(image: ImageArray, blur_px: float) -> tuple[GradientArray, GradientArray]:
-    import cv2
-
+def taps(blur_px: float) -> tuple[GradientArray, GradientArray]:
+    """The taps (2 reach + 1,) of a Gaussian and of its derivative, as a correlation takes them."""
     x = np.arange(-_reach_px(blur_px), _reach_px(blur_px) + 1, dtype=np.float64)
     smooth = np.exp(-0.5 * (x / blur_px) ** 2)
     smooth /= smooth.sum()
-    slope = x / blur_px**2 * smooth  # OpenCV correlates: the derivative's sign is turned round
+    return smooth.astype(np.float32), (x / blur_px**2 * smooth).astype(np.float32)
+
+
+def _differentiated(image: ImageArray, blur_px: float) -> tuple[GradientArray, GradientArray]:
+    import cv2
+
+    smooth, slope = taps(blur_px)
     image = np.ascontiguousarray(image, dtype=np.float32)
-    smooth, slope = smooth.astype(np.float32), slope.astype(np.float32)
     return (
         np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, slope, smooth, borderType=cv2.BORDER_REPLICATE)),
         np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, smooth, slope, borderType=cv2.BORDER_REPLICATE)),
@@ -162,13 +170,13 @@ def explain(target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice,
     flat = np.flatnonzero(near)
     if not len(flat):
         nothing = np.zeros((2, 0))
-        return Explanation(np.zeros(len(_CONSTANTS_MM)), near, nothing, nothing, 1.0, 0.0)
+        return Explanation(np.zeros(len(SATURATION_MM)), near, nothing, nothing, 1.0, 0.0)
 
     def taken(along_u: GradientArray, along_v: GradientArray) -> GradientArray:
         return np.concatenate([along_u.ravel()[flat], along_v.ravel()[flat]])
 
-    basis = np.empty((len(_CONSTANTS_MM), 2 * len(flat)))
-    for row, constant in zip(basis, _CONSTANTS_MM, strict=True):
+    basis = np.empty((len(SATURATION_MM), 2 * len(flat)))
+    for row, constant in zip(basis, SATURATION_MM, strict=True):
         row[:] = taken(*target.differentiated(1.0 - np.exp(lengths / -constant)))
     image = taken(target.along_u[window], target.along_v[window]).astype(np.float64)
     response, residuals, weights, spread = _fitted(basis, image)
@@ -180,36 +188,33 @@ def near_metal(target: GradientTarget, lengths_mm: FloatArray | ImageArray) -> B
     """The pixels whose derivatives metal reaches, (rows, columns)."""
     import cv2
 
-    reach = _reach_px(target.blur_px)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray(cv2.dilate((lengths_mm > 0.0).view(np.uint8), disc).view(np.bool_))
+    reach = 2 * _reach_px(target.blur_px) + 1
+    is_metal = (lengths_mm > LEAST_MM).view(np.uint8)
+    return np.asarray(cv2.dilate(is_metal, np.ones((reach, reach), np.uint8)).view(np.bool_))
 
 
 def clipped(lengths_mm: FloatArray) -> ImageArray:
     """Path lengths as a screw can have them, float32."""
-    return np.clip(lengths_mm, 0.0, _LONGEST_MM).astype(np.float32)
+    return np.clip(lengths_mm, 0.0, LONGEST_MM).astype(np.float32)
 
 
 def _fitted(basis: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Weights of the basis (5, 2 N) that are not negative, robustly; the residuals, their weights, and their spread."""
     from scipy.optimize import nnls
 
-    from screwpose.similarity.kernels import normal_equations
-
     weights = np.ones(len(image))
     ridge = 1e-9 * float(np.sum(basis**2)) * np.eye(len(basis))
-    step = max(1, len(image) // _SAMPLES)  # order statistics need no more
-    for _ in range(_REWEIGHTED):
+    step = max(1, len(image) // SAMPLES)  # order statistics need no more
+    for _ in range(REWEIGHTED):
         # The normal equations: there are five unknowns, and a hundred thousand rows.
-        matrix, right = normal_equations(basis, weights, image)
-        response, _ = nnls(matrix + ridge, right)
+        response, _ = nnls((basis * weights) @ basis.T + ridge, basis @ (weights * image))
         model = sum(weight * one for weight, one in zip(response, basis, strict=True))
         residuals = image - model
         edges = np.abs(model[::step])
-        rim = edges > _RIM_SHARE * np.percentile(edges, 99)
+        rim = edges > RIM_SHARE * np.percentile(edges, 99)
         spread = 1.4826 * float(np.median(np.abs(residuals[::step][rim]))) if rim.any() else float(np.std(residuals))
         spread = max(spread, 1e-9)
-        weights = 1.0 / (1.0 + (residuals / (_CAUCHY * spread)) ** 2)
+        weights = 1.0 / (1.0 + (residuals / (CAUCHY * spread)) ** 2)
     return np.asarray(response), residuals, weights, spread
 
 
@@ -217,7 +222,7 @@ def response_slope(response: FloatArray, lengths_mm: FloatArray) -> ImageArray:
     """How the response changes with the path length, ``s'(L)``, per mm."""
     lengths = clipped(lengths_mm)
     slope = np.zeros_like(lengths)
-    for weight, constant in zip(response, _CONSTANTS_MM, strict=True):
+    for weight, constant in zip(response, SATURATION_MM, strict=True):
         if weight > 0.0:
             slope += np.float32(weight / constant) * np.exp(lengths / -constant)
     return slope

@@ -1,0 +1,30 @@
+"""Threads give what a loop gives."""
+
+import threading
+
+import pytest
+
+from screwpose._threads import available_threads, in_threads
+
+
+def test_order_errors_and_no_threads_within_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCREWPOSE_THREADS", "3")
+    assert available_threads() == 3
+    assert in_threads(lambda n: n * n, range(20)) == [n * n for n in range(20)]
+    barrier = threading.Barrier(3, timeout=10)
+
+    def meet(n: int) -> tuple[int, set[int]]:
+        barrier.wait()  # passed only if three run at once
+        inner = in_threads(lambda _: threading.get_ident(), range(4))
+        return n, set(inner) - {threading.get_ident()}
+
+    assert in_threads(meet, range(3)) == [(n, set()) for n in range(3)]
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda n: 1 // n, [1, 0])
+
+
+def test_one_thread_is_a_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCREWPOSE_THREADS", "1")
+    assert set(in_threads(lambda _: threading.get_ident(), range(5))) == {threading.get_ident()}
+    monkeypatch.setenv("SCREWPOSE_THREADS", "many")
+    assert available_threads() >= 1
