@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from screwpose._threads import each_in_threads
+from screwpose._threads import in_threads
 from screwpose._types import FloatArray
 from screwpose.files.case import Case, View
 from screwpose.images import log_image
@@ -75,7 +75,7 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
     """
     mm_per_px = float(np.mean([view.camera.mm_per_px_at(center_mm) for view in case.views.values()]))
     stages = scaled_stages(mm_per_px)
-    of_views = each_in_threads(partial(_targets_of, [scale for scale, _ in stages]), list(case.views.values()))
+    of_views = in_threads(partial(_targets_of, [scale for scale, _ in stages]), list(case.views.values()))
     targets = {scale: [of_view[index] for of_view in of_views] for index, (scale, _) in enumerate(stages)}
     meshes = {name: _fit_mesh(implant.mesh, mm_per_px) for name, implant in case.implants.items()}
     leads_mm = {name: thread_lead_mm(case.implants[name], mesh) for name, mesh in meshes.items()}
