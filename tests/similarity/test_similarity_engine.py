@@ -6,7 +6,7 @@ import pytest
 from screwpose.errors import BehindSourceError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import Mesh, ScrewDesign, make_screw
-from screwpose.projection import reference
+from screwpose.projection import opencv, reference
 from screwpose.projection.silhouette import packed
 from screwpose.similarity import (
     Posed,
@@ -15,6 +15,7 @@ from screwpose.similarity import (
     gradient_correlation_loss,
     make_target,
     score_rows,
+    score_scene,
     union_mask,
 )
 from screwpose.similarity.engine import SceneEngine
@@ -148,3 +149,45 @@ def test_the_mask_it_scores_can_be_seen() -> None:
         np.testing.assert_array_equal(mask, want)
         assert scores.dice[0, index] == pytest.approx(dice(mask & region, targets[name].metal), abs=1e-12)
         assert scores.loss[0, index] == pytest.approx(targets[name].loss(mask), abs=1e-9)
+
+
+def test_the_papers_losses_where_both_fill_rules_give_the_same_mask() -> None:
+    # OpenCV also paints what an outline touches; a rectangle whose sides lie less than half a pixel outside its outer
+    # centres has none but those: then `--engine bitrows` has to be the paper's own engine to 1e-6.
+    rng = np.random.default_rng(9)
+    camera = Camera.from_matrix(np.array([[100.0, 0, 114, 0], [0, 100.0, 74, 0], [0, 0, 1, 0]]))
+    target = make_target(rng.random(SHAPE, dtype=np.float32), rng.random(SHAPE) < 0.9, rng.random(SHAPE) < 0.3)
+    plates, poses = [], np.tile(np.eye(4), (2, 1, 1))
+    poses[:, 2, 3] = 100.0  # 1 px a mm
+    for low, high in (([-60, -40], [30, 11]), ([10, -20], [70, 40])):
+        (left, top), (right, bottom) = low - rng.uniform(0.1, 0.4, 2), high + rng.uniform(0.1, 0.4, 2)
+        corners = np.array([[left, top, 0.0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]])
+        plates.append(Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])))
+    scene = [Posed(*one) for one in zip(plates, poses, strict=True)]
+    paper = score_scene({"AP": camera}, {"AP": target}, scene, opencv.silhouette)
+    painted = union_mask(camera, scene, SHAPE, opencv.silhouette)
+    assert painted.sum() > 5000
+    np.testing.assert_array_equal(painted, union_mask(camera, scene, SHAPE, reference.silhouette))
+    closed = [Mesh(plate.vertices_mm, np.vstack([plate.faces, plate.faces[:, ::-1]])) for plate in plates]
+    for meshes in (plates, closed):  # filled face by face, and drawn by contour
+        ours = SceneEngine({"AP": camera}, {"AP": target}, meshes).scores(poses[None])
+        assert ours.loss[0, 0] == pytest.approx(paper.loss, abs=1e-9)
+        assert ours.dice[0, 0] == pytest.approx(paper.dice, abs=1e-12)
+    assert abs(paper.loss) > 1e-4
+
+
+def test_an_engine_that_met_an_error_goes_on_as_before() -> None:
+    rng = np.random.default_rng(10)
+    target = make_target(rng.random(SHAPE, dtype=np.float32), np.ones(SHAPE, bool), rng.random(SHAPE) < 0.3)
+    meshes = [make_screw(SHORT).mesh] * 2
+    engine = SceneEngine({"AP": CAMERAS["AP"]}, {"AP": target}, meshes, 1)
+    poses = scene_poses(rng, 4, 2)
+    before = engine.scores(poses)
+    behind = poses.copy()
+    behind[2, 1, 2, 3] = -50.0
+    with pytest.raises(BehindSourceError, match="not in front"):
+        engine.scores(behind)
+    for k in (0, 1, 2, 3):
+        again = engine.scores(poses[k : k + 1])
+        np.testing.assert_array_equal(again.loss[0], before.loss[k])
+        np.testing.assert_array_equal(again.dice[0], before.dice[k])

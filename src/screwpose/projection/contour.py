@@ -20,13 +20,13 @@ class ClosedSurface:
     Parameters
     ----------
     planes : (4, F), unit normal and offset of each face: it is seen from points with ``n . x > offset``.
-    edge_vertices : (E, 2), int32, each edge from one vertex to the other.
-    edge_faces : (E, 2), int32: the face that runs along the edge, and the one that runs against it.
+    edge_vertices : (E, 2), uint32, each edge from one vertex to the other.
+    edge_faces : (E, 2), uint32: the face that runs along the edge, and the one that runs against it.
     """
 
     planes: FloatArray
-    edge_vertices: NDArray[np.int32]
-    edge_faces: NDArray[np.int32]
+    edge_vertices: NDArray[np.uint32]
+    edge_faces: NDArray[np.uint32]
 
 
 def closed_surface(vertices_mm: FloatArray, faces: IntArray) -> ClosedSurface | None:
@@ -57,8 +57,8 @@ def closed_surface(vertices_mm: FloatArray, faces: IntArray) -> ClosedSurface | 
     planes = np.concatenate([normals.T, np.sum(normals * corners[:, 0], axis=1)[None]])
     return ClosedSurface(
         np.ascontiguousarray(planes, dtype=np.float64),
-        np.stack([low[there], high[there]], axis=1).astype(np.int32),
-        np.stack([owner[there], owner[back]], axis=1).astype(np.int32),
+        np.stack([low[there], high[there]], axis=1).astype(np.uint32),
+        np.stack([owner[there], owner[back]], axis=1).astype(np.uint32),
     )
 
 
@@ -80,32 +80,44 @@ class Bodies(NamedTuple):
     face_start: IntArray
     is_closed: BoolArray
     planes: FloatArray
-    edge_vertices: NDArray[np.int32]
-    edge_faces: NDArray[np.int32]
+    edge_vertices: NDArray[np.uint32]
+    edge_faces: NDArray[np.uint32]
     edge_start: IntArray
 
 
 class Room(NamedTuple):
-    """Where the kernels work: made once, used for every body; see `contour_kernels` for what each one holds."""
+    """Where the kernels work, in blocks of 64 columns ("words"); made once, used for scene after scene.
+
+    Parameters
+    ----------
+    u, v : (N,), of the largest body that has to be projected as a whole.
+    source_mm : (3,); is_seen : (F,); contour : (E + 1,): of the body at hand, see `contour_kernels.find_contour`.
+    lines : (E + 1, 3), of the edges that cross a column: u and v of one end, v a row further down, and v by u.
+    reach : (E + 1, 3), their first and last column (not included), and whether they raise the number of windings.
+    changes : (words, rows + 1, 64), by how much the number of windings changes from the row above; 0 between scenes.
+    raised : (columns,), how many of a column's changes are up, 0 between scenes.
+    bits : (words, rows + 1), the mask; the last row stays 0.
+    ranges : (words, 2), the first row and the last (not included) that may hold a bit.
+    """
 
     u: FloatArray
     v: FloatArray
     source_mm: FloatArray
     is_seen: NDArray[np.uint8]
-    contour: NDArray[np.int32]
+    contour: NDArray[np.uint32]
     lines: FloatArray
     reach: NDArray[np.int32]
-    starts: NDArray[np.int32]
-    cursor: NDArray[np.int32]
-    winding: NDArray[np.int32]
-    is_crossed: NDArray[np.uint64]
+    changes: NDArray[np.int8]
+    raised: NDArray[np.uint32]
+    bits: NDArray[np.uint64]
+    ranges: IntArray
 
 
 def packed_bodies(meshes: Sequence[tuple[FloatArray, IntArray]]) -> Bodies:
     """Vertices (N, 3), mm, and faces (F, 3) of every mesh, as the kernels want them."""
     vertices = [np.asarray(vertices_mm, dtype=np.float64) for vertices_mm, _ in meshes]
     faces = [np.asarray(of_mesh, dtype=np.int64) for _, of_mesh in meshes]
-    none = np.zeros((0, 2), dtype=np.int32)
+    none = np.zeros((0, 2), dtype=np.uint32)
     surfaces = [closed_surface(*mesh) for mesh in zip(vertices, faces, strict=True)]
     drawn = [
         surface or ClosedSurface(np.zeros((4, len(of_mesh))), none, none)

@@ -1,47 +1,79 @@
 """Compiled silhouettes of closed surfaces: only the contour is drawn, the edges between a face seen and one not seen.
 
-Along a row of pixels, the faces that look towards the source cover a pixel as often as the contour winds around it:
-each crossing of the row with a contour edge raises or lowers that number, and the mask is where it is not zero. So of a
-mesh only the plane of each face is read (one sign a face), then its edges (one comparison), and only the few hundred
-vertices of the contour are projected.
+Down a column of pixels, the faces that look towards the source cover a pixel as often as the contour winds around it:
+each crossing of the column with a contour edge raises or lowers that number, and the mask is where it is not zero. So
+of a mesh only the plane of each face is read (one sign a face), then its edges (one comparison), and only the few
+hundred vertices of the contour are projected. Crossings are written as changes, a byte a pixel; a sweep down the rows
+adds them up, 64 columns at once, and nothing is sorted. All closed bodies of a scene share one sweep.
 
-One thread each, no shared state, as in `kernels`.
+Arrays are in blocks of 64 columns, one block after the other, so that the sweep walks along the memory: a mask is
+(words, rows + 1) words of 64 columns, the transpose of bit rows. One thread each, no shared state, as in `kernels`.
 """
 
 import math
 
 import numpy as np
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from screwpose.projection.contour import Room
-from screwpose.projection.kernels import fill_within, lowest_bit, project, set_run
+from screwpose.projection.kernels import fill, project
 
-# Rows with more crossings than this are sorted by a row of bits: linear, but dearer for few.
-_FEW = 20
+_LANES = ir.VectorType(ir.IntType(8), 64)
+
+
+@intrinsic
+def _sweep(_context, _changes, _bits, _count):
+    """Add up `count` rows of 64 changes, at these addresses; clear them, and set the bits where the sum is not 0."""
+
+    def code(_c, builder, _s, arguments):
+        changes, bits, count = arguments
+        word, none = ir.IntType(64), ir.Constant(_LANES, None)
+        around = cgutils.alloca_once_value(builder, none)
+        with cgutils.for_range(builder, count) as row:
+            change = builder.inttoptr(builder.add(changes, builder.mul(row.index, word(64))), _LANES.as_pointer())
+            total = builder.add(builder.load(around), builder.load(change, align=1))
+            builder.store(total, around)
+            builder.store(none, change, align=1)
+            covered = builder.bitcast(builder.icmp_unsigned("!=", total, none), word)
+            place = builder.inttoptr(builder.add(bits, builder.mul(row.index, word(8))), word.as_pointer())
+            builder.store(builder.or_(builder.load(place), covered), place)
+        return word(0)
+
+    return types.int64(types.int64, types.int64, types.int64), code
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def source_of(pixels_from_cad, source_mm):
-    """The point (3,) that projects nowhere: the X-ray source, in the frame of the points. NaN where there is none."""
+    """The point (3,) that projects nowhere: the X-ray source, in the frame of the points. NaN where there is none.
+
+    Returns
+    -------
+    The determinant of the matrix's left block: below 0, what is seen of a face turns the other way in the image.
+    """
     P = pixels_from_cad
     a, b, c = P[0, 0], P[0, 1], P[0, 2]
     d, e, f = P[1, 0], P[1, 1], P[1, 2]
     g, h, i = P[2, 0], P[2, 1], P[2, 2]
     A, B, C = e * i - f * h, f * g - d * i, d * h - e * g
-    scale = -1.0 / (a * A + b * B + c * C)
+    determinant = a * A + b * B + c * C
     x, y, z = P[0, 3], P[1, 3], P[2, 3]
-    source_mm[0] = scale * (A * x + (c * h - b * i) * y + (b * f - c * e) * z)
-    source_mm[1] = scale * (B * x + (a * i - c * g) * y + (c * d - a * f) * z)
-    source_mm[2] = scale * (C * x + (b * g - a * h) * y + (a * e - b * d) * z)
+    source_mm[0] = -(A * x + (c * h - b * i) * y + (b * f - c * e) * z) / determinant
+    source_mm[1] = -(B * x + (a * i - c * g) * y + (c * d - a * f) * z) / determinant
+    source_mm[2] = -(C * x + (b * g - a * h) * y + (a * e - b * d) * z) / determinant
+    return determinant
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_contour(planes, edge_faces, source_mm, is_seen, contour):
+def find_contour(planes, first_face, last_face, edge_faces, source_mm, is_seen, contour):
     """List the edges between a face that looks towards the source and one that does not.
 
     Parameters
     ----------
-    planes : (4, F), normal and offset of every face: it looks towards points with ``n . x > offset``.
+    planes : (4, all faces), normal and offset of every face: it looks towards points with ``n . x > offset``.
+    first_face, last_face : those of the body (the last not included).
     edge_faces : (E, 2), the face that runs along an edge, and the one that runs against it.
     source_mm : (3,).
     is_seen : (F,) uint8, filled.
@@ -52,218 +84,162 @@ def find_contour(planes, edge_faces, source_mm, is_seen, contour):
     How many there are.
     """
     x, y, z = source_mm
-    for face in range(planes.shape[1]):
-        is_seen[face] = planes[0, face] * x + planes[1, face] * y + planes[2, face] * z > planes[3, face]
-    count = 0
+    # One row at a time is contiguous, which a block of columns is not: only then are several faces done at once.
+    along_x, along_y = planes[0][first_face:last_face], planes[1][first_face:last_face]
+    along_z, offsets = planes[2][first_face:last_face], planes[3][first_face:last_face]
+    for face in range(last_face - first_face):
+        is_seen[face] = along_x[face] * x + along_y[face] * y + along_z[face] * z > offsets[face]
+    count = np.uint64(0)
     for edge in range(edge_faces.shape[0]):
         contour[count] = edge  # no branch: which edges belong is hard to foresee
-        count += is_seen[edge_faces[edge, 0]] ^ is_seen[edge_faces[edge, 1]]
-    return count
+        count += np.uint64(is_seen[edge_faces[edge, 0]] ^ is_seen[edge_faces[edge, 1]])
+    return np.int64(count)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def place_contour(
-    pixels_from_cad, vertices_mm, edge_vertices, edge_faces, is_seen, contour, count, lines, reach, starts
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def cross_columns(
+    pixels_from_cad, vertices_mm, edge_vertices, edge_faces, is_seen, contour, count, is_mirrored, columns, room
 ):
-    """Project the contour's edges, and count how many cross each row.
+    """Project the contour's edges, and write where each crosses the columns of pixels.
 
     Parameters
     ----------
     contour, count : of `find_contour`.
-    lines : (E, 4), filled for the edges that cross a row: u and v of the upper end, u per row, u of the lower end.
-    reach : (E, 3), filled: first and last row (not included) and the sign of the crossing.
-    starts : (rows + 1,), zero; filled: crossings before each row.
-
-    Returns
-    -------
-    How many edges cross a row, the first row crossed and the last (not included).
+    is_mirrored : uint8, 1 where the determinant of `source_of` is negative.
+    columns : of the image.
+    room : `Room`; its changes, raised and ranges are added to.
     """
-    P = pixels_from_cad
-    rows = starts.shape[0] - 1
-    bottom_px = np.float64(rows)
-    kept, top, bottom = 0, rows, 0
-    for k in range(count):
-        edge = contour[k]
-        a, b = edge_vertices[edge, 0], edge_vertices[edge, 1]
-        x, y, z = vertices_mm[a, 0], vertices_mm[a, 1], vertices_mm[a, 2]
-        per_depth = 1.0 / (P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3])
-        ua = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * per_depth
-        va = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * per_depth
-        x, y, z = vertices_mm[b, 0], vertices_mm[b, 1], vertices_mm[b, 2]
-        per_depth = 1.0 / (P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3])
-        ub = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * per_depth
-        vb = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * per_depth
-        sign = is_seen[edge_faces[edge, 0]]
-        if vb < va:
-            ua, va, ub, vb = ub, vb, ua, va
-            sign ^= 1
-        first = np.int64(math.ceil(min(max(va, 0.0), bottom_px)))
-        last = np.int64(math.ceil(min(max(vb, 0.0), bottom_px)))
-        if first >= last:
-            continue
-        lines[kept, 0], lines[kept, 1], lines[kept, 2] = ua, va, (ub - ua) / (vb - va)
-        lines[kept, 3] = ub
-        reach[kept, 0], reach[kept, 1], reach[kept, 2] = first, last, sign
-        kept += 1
-        starts[first] += 1
-        starts[last] -= 1
-        top, bottom = min(top, first), max(bottom, last)
-    running, total = 0, 0
-    for row in range(top, bottom):
-        running += starts[row]
-        starts[row] = total
-        total += running
-    starts[bottom] = total
-    return kept, top, bottom
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def cross_rows(lines, reach, kept, columns, cursor, crossings):
-    """Write every crossing behind the others of its row: twice its first column inside, plus 1 where it raises.
-
-    Parameters
-    ----------
-    cursor : (rows,), where each row's next crossing is written; moved on.
-    """
-    last_px = np.float64(columns)
+    changes, raised, ranges = room.changes, room.raised, room.ranges
+    a, b, c, d = pixels_from_cad[0]
+    e, f, g, h = pixels_from_cad[1]
+    i, j, k, m = pixels_from_cad[2]
+    wide, high = np.float64(columns), np.float64(changes.shape[1] - 1)
+    lines, reach = room.lines, room.reach
+    kept = np.uint64(0)
+    for index in range(count):
+        edge = contour[index]
+        from_vertex, to_vertex = edge_vertices[edge, 0], edge_vertices[edge, 1]
+        x, y, z = vertices_mm[from_vertex, 0], vertices_mm[from_vertex, 1], vertices_mm[from_vertex, 2]
+        per_depth = 1.0 / (i * x + j * y + k * z + m)
+        u, v = (a * x + b * y + c * z + d) * per_depth, (e * x + f * y + g * z + h) * per_depth
+        x, y, z = vertices_mm[to_vertex, 0], vertices_mm[to_vertex, 1], vertices_mm[to_vertex, 2]
+        per_depth = 1.0 / (i * x + j * y + k * z + m)
+        to_u, to_v = (a * x + b * y + c * z + d) * per_depth, (e * x + f * y + g * z + h) * per_depth
+        # No branches: which way an edge runs, and whether it crosses a column, is hard to foresee.
+        is_back = to_u < u
+        begin = np.int64(math.ceil(min(max(to_u if is_back else u, 0.0), wide)))
+        end = np.int64(math.ceil(min(max(u if is_back else to_u, 0.0), wide)))
+        lines[kept, 0], lines[kept, 1], lines[kept, 2] = u, v + 1.0, (to_v - v) / (to_u - u)
+        reach[kept, 0], reach[kept, 1] = begin, end
+        reach[kept, 2] = is_seen[edge_faces[edge, 0]] ^ is_mirrored ^ np.uint8(is_back)
+        kept += np.uint64(begin < end)
     for line in range(kept):
-        u, v, per_row, end = lines[line, 0], lines[line, 1], lines[line, 2], lines[line, 3]
-        sign = np.int32(reach[line, 2])
-        if min(u, end) > -0.5 and max(u, end) < last_px - 1.5:
-            for row in range(reach[line, 0], reach[line, 1]):
-                place = cursor[row]
-                # The cut to an integer rounds down; past an edge by less than 1e-3 px the centre may fall either way.
-                crossings[place] = (np.int32(u + (row - v) * per_row + 1.0) << 1) | sign
-                cursor[row] = place + 1
-        else:
-            for row in range(reach[line, 0], reach[line, 1]):
-                place = cursor[row]
-                column = np.int32(min(max(u + (row - v) * per_row + 1.0, 0.0), last_px))
-                crossings[place] = (column << 1) | sign
-                cursor[row] = place + 1
+        u, v, per_column = lines[line, 0], lines[line, 1], lines[line, 2]
+        begin, end, rises = np.int64(reach[line, 0]), np.int64(reach[line, 1]), np.uint32(reach[line, 2])
+        change = np.int8(2 * np.int64(rises) - 1)
+        while begin < end:
+            word = begin >> 6
+            until = min(end, 64 * (word + 1))
+            # The cut to an integer rounds down; past an edge by less than 1e-3 px the centre may fall either way.
+            first = min(max(v + (begin - u) * per_column, 0.0), high)
+            last = min(max(v + (until - 1 - u) * per_column, 0.0), high)
+            if min(first, last) > 0.0 and max(first, last) < high:
+                for column in range(begin, until):
+                    row = np.uint64(np.int64(v + (column - u) * per_column))
+                    changes[word, row, column & 63] += change
+                    raised[column] += rises
+            else:
+                for column in range(begin, until):
+                    row = np.uint64(np.int64(min(max(v + (column - u) * per_column, 0.0), high)))
+                    changes[word, row, column & 63] += change
+                    raised[column] += rises
+            ranges[word, 0] = min(ranges[word, 0], np.int64(min(first, last)))
+            ranges[word, 1] = max(ranges[word, 1], np.int64(max(first, last)) + 1)
+            begin = until
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_rows(starts, top, bottom, crossings, winding, is_crossed, bits, extents):
-    """Set the bits of the pixels around which the contour winds.
-
-    Parameters
-    ----------
-    starts : (rows + 1,), where each row's crossings begin, from row `top` to `bottom`.
-    crossings : of `cross_rows`; left sorted in part.
-    winding, is_crossed : (64 words + 1,) and (words + 1,), zero, and left so: by how much the number of windings
-        changes at a column, and whether it was touched.
-    bits : (rows, words), what is set stays.
-    extents : (rows, 2), widened: first and last word (not included) of each row that holds a bit.
-    """
-    for row in range(top, bottom):
-        begin, end = starts[row], starts[row + 1]
-        if begin == end:
-            continue
-        if end - begin <= _FEW:
-            for i in range(begin + 1, end):
-                moved = crossings[i]
-                j = i - 1
-                while j >= begin and crossings[j] > moved:
-                    crossings[j + 1] = crossings[j]
-                    j -= 1
-                crossings[j + 1] = moved
-            left, around = crossings[begin] >> 1, 0
-            extents[row, 0] = min(extents[row, 0], left >> 6)
-            for i in range(begin, end):
-                column = crossings[i] >> 1
-                if around == 0:
-                    left = column
-                around += 2 * (crossings[i] & 1) - 1
-                if around == 0 and left < column:
-                    set_run(bits, row, left, column - 1)
-            extents[row, 1] = max(extents[row, 1], ((crossings[end - 1] >> 1) + 63) >> 6)
-        else:
-            low, high = crossings[begin] >> 7, 0
-            for i in range(begin, end):
-                column = crossings[i] >> 1
-                winding[column] += 2 * (crossings[i] & 1) - 1
-                is_crossed[column >> 6] |= np.uint64(1) << np.uint64(column & 63)
-                low, high = min(low, column >> 6), max(high, column >> 6)
-            left, around = 0, 0
-            for word in range(low, high + 1):
-                places = is_crossed[word]
-                is_crossed[word] = 0
-                while places != 0:
-                    column = 64 * word + np.int64(lowest_bit(places))
-                    places &= places - np.uint64(1)
-                    if around == 0:
-                        left = column
-                    around += winding[column]
-                    winding[column] = 0
-                    if around == 0 and left < column:
-                        set_run(bits, row, left, column - 1)
-            extents[row, 0] = min(extents[row, 0], low)
-            extents[row, 1] = max(extents[row, 1], min(high + 1, bits.shape[1]))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def room_for(bodies, rows, words):
-    """A new `Room` for drawing any of the bodies."""
-    vertices, faces, edges = 0, 0, 0
+def room_for(bodies, rows, columns):
+    """A new `Room` for drawing any of the bodies into images of this size."""
+    vertices, faces, edges, words = 0, 0, 0, (columns + 63) >> 6
     for body in range(len(bodies.boxes)):
         vertices = max(vertices, bodies.vertex_start[body + 1] - bodies.vertex_start[body])
         faces = max(faces, bodies.face_start[body + 1] - bodies.face_start[body])
         edges = max(edges, bodies.edge_start[body + 1] - bodies.edge_start[body])
-    return Room(
+    room = Room(
         np.empty(vertices),
         np.empty(vertices),
         np.empty(3),
         np.empty(faces, dtype=np.uint8),
-        np.empty(edges + 1, dtype=np.int32),
-        np.empty((edges, 4)),
-        np.empty((edges, 3), dtype=np.int32),
-        np.zeros(rows + 1, dtype=np.int32),
-        np.zeros(rows, dtype=np.int32),
-        np.zeros(64 * words + 1, dtype=np.int32),
-        np.zeros(words + 1, dtype=np.uint64),
+        np.empty(edges + 1, dtype=np.uint32),
+        np.empty((edges + 1, 3)),
+        np.empty((edges + 1, 3), dtype=np.int32),
+        np.zeros((words, rows + 1, 64), dtype=np.int8),
+        np.zeros(columns, dtype=np.uint32),
+        np.zeros((words, rows + 1), dtype=np.uint64),
+        np.empty((words, 2), dtype=np.int64),
     )
+    room.ranges[:, 0], room.ranges[:, 1] = rows, 0
+    return room
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def draw_closed(pixels_from_cad, bodies, body, columns, room, crossings, bits, extents):
-    """Set the bits of every pixel whose centre a closed body covers.
-
-    Returns
-    -------
-    The room for crossings, a larger one where the given was too small; the first row with a bit and the last (not
-    included).
-    """
-    first_face, last_face = bodies.face_start[body], bodies.face_start[body + 1]
-    first_edge, last_edge = bodies.edge_start[body], bodies.edge_start[body + 1]
-    edge_faces = bodies.edge_faces[first_edge:last_edge]
-    source_of(pixels_from_cad, room.source_mm)
-    count = find_contour(bodies.planes[:, first_face:last_face], edge_faces, room.source_mm, room.is_seen, room.contour)
-    kept, top, bottom = place_contour(
-        pixels_from_cad,
-        bodies.vertices_mm[bodies.vertex_start[body] : bodies.vertex_start[body + 1]],
-        bodies.edge_vertices[first_edge:last_edge],
-        edge_faces,
-        room.is_seen,
-        room.contour,
-        count,
-        room.lines,
-        room.reach,
-        room.starts,
-    )
-    if kept == 0:
-        return crossings, top, bottom
-    if room.starts[bottom] > len(crossings):
-        crossings = np.empty(2 * room.starts[bottom], dtype=np.int32)
-    room.cursor[top:bottom] = room.starts[top:bottom]
-    cross_rows(room.lines, room.reach, kept, columns, room.cursor, crossings)
-    fill_rows(room.starts, top, bottom, crossings, room.winding, room.is_crossed, bits, extents)
-    room.starts[top : bottom + 1] = 0
-    return crossings, top, bottom
+def clear(room):
+    """Take the bits of a drawn scene away again."""
+    for word in range(room.ranges.shape[0]):
+        for row in range(room.ranges[word, 0], room.ranges[word, 1]):
+            room.bits[word, row] = 0
+        room.ranges[word, 0], room.ranges[word, 1] = room.bits.shape[1] - 1, 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def draw_scene(pixels_from_world, world_from_cad, bodies, columns, room, crossings, bits, extents):
+def _add_up(room, columns):
+    """Sweep all changes; False where a pixel may lie under more layers than a byte can count, and nothing is drawn."""
+    rows = room.changes.shape[1] - 1
+    most = 0
+    for word in range(room.ranges.shape[0]):
+        if room.ranges[word, 0] < room.ranges[word, 1]:
+            for column in range(64 * word, min(64 * (word + 1), columns)):
+                most = max(most, np.int64(room.raised[column]))
+                room.raised[column] = 0
+    for word in range(room.ranges.shape[0]):
+        first, last = room.ranges[word, 0], min(room.ranges[word, 1], rows + 1)
+        if first >= last:
+            continue
+        if most < 256:
+            _sweep(room.changes[word, first:].ctypes.data, room.bits[word, first:].ctypes.data, last - first)
+        else:
+            room.changes[word, first:last] = 0
+    return most < 256
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _draw_faces(P, bodies, body, columns, room):
+    """Draw a body face by face, and widen the ranges by its box; returns its smallest depth."""
+    vertices_mm = bodies.vertices_mm[bodies.vertex_start[body] : bodies.vertex_start[body + 1]]
+    nearest = project(P, vertices_mm, room.u, room.v)
+    if not nearest > 0.0:
+        return nearest
+    left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
+    for i in range(len(vertices_mm)):
+        left, right = min(left, room.u[i]), max(right, room.u[i])
+        top, bottom = min(top, room.v[i]), max(bottom, room.v[i])
+    rows = room.bits.shape[1] - 1
+    # Clipped before they become integers: a body far outside must not overflow them.
+    first = np.int64(min(max(math.floor(top), 0.0), rows))
+    last = np.int64(min(max(math.floor(bottom) + 1.0, 0.0), rows))
+    from_word = np.int64(min(max(math.floor(left), 0.0), columns)) >> 6
+    to_word = (np.int64(min(max(math.floor(right), -1.0), columns - 1.0)) >> 6) + 1
+    for word in range(from_word, to_word):
+        room.ranges[word, 0] = min(room.ranges[word, 0], first)
+        room.ranges[word, 1] = max(room.ranges[word, 1], last)
+    faces = bodies.faces[bodies.face_start[body] : bodies.face_start[body + 1]]
+    fill(room.u, room.v, faces, bodies.is_closed[body], room.bits[:, :rows].T, columns)
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw_scene(pixels_from_world, world_from_cad, bodies, columns, room):
     """Set the bits of every pixel that any body of a scene covers: closed ones by contour, others face by face.
 
     Parameters
@@ -271,36 +247,65 @@ def draw_scene(pixels_from_world, world_from_cad, bodies, columns, room, crossin
     pixels_from_world : (3, 4).
     world_from_cad : (B, 4, 4).
     bodies : `contour.Bodies`.
-    room : of `room_for`; crossings : (any,) int32.
-    bits : (rows, words), what is set stays.
-    extents : (rows, 2), widened: first and last word (not included) of each row that holds a bit.
+    columns : of the image.
+    room : of `room_for`, clear; its bits are set, and its ranges say between which rows.
 
     Returns
     -------
-    The room for crossings; the first row with a bit and the last (not included); the smallest depth of any vertex, mm,
-    or, where all are in front of the source, of their boxes. Where it is not positive, the drawing is not finished.
+    The smallest depth of any vertex, mm, or, where all are in front of the source, of their boxes. Where it is not
+    positive, the drawing is not finished.
     """
     P = np.empty((3, 4))
-    top, bottom, nearest = bits.shape[0], 0, np.inf
-    for body in range(world_from_cad.shape[0]):
+    nearest = np.inf
+    has_closed = False
+    by_contour = True
+    body = 0
+    while body < world_from_cad.shape[0]:
         for i in range(3):
             for j in range(4):
-                P[i, j] = 0.0
+                total = 0.0
                 for k in range(4):
-                    P[i, j] += pixels_from_world[i, k] * world_from_cad[body, k, j]
-        vertices_mm = bodies.vertices_mm[bodies.vertex_start[body] : bodies.vertex_start[body + 1]]
-        depth = P[2, 3]
-        for k in range(3):
-            depth += min(P[2, k] * bodies.boxes[body, 0, k], P[2, k] * bodies.boxes[body, 1, k])
-        if not depth > 0.0 or not bodies.is_closed[body]:
-            depth = project(P, vertices_mm, room.u, room.v)
+                    total += pixels_from_world[i, k] * world_from_cad[body, k, j]
+                P[i, j] = total
+        if bodies.is_closed[body] and by_contour:
+            depth = P[2, 3]
+            for k in range(3):
+                depth += min(P[2, k] * bodies.boxes[body, 0, k], P[2, k] * bodies.boxes[body, 1, k])
+            vertices_mm = bodies.vertices_mm[bodies.vertex_start[body] : bodies.vertex_start[body + 1]]
+            if not depth > 0.0:
+                depth = project(P, vertices_mm, room.u, room.v)
+            if depth > 0.0:
+                has_closed = True
+                edges = slice(bodies.edge_start[body], bodies.edge_start[body + 1])
+                edge_faces = bodies.edge_faces[edges]
+                is_mirrored = np.uint8(source_of(P, room.source_mm) < 0.0)
+                count = find_contour(
+                    bodies.planes,
+                    bodies.face_start[body],
+                    bodies.face_start[body + 1],
+                    edge_faces,
+                    room.source_mm,
+                    room.is_seen,
+                    room.contour,
+                )
+                cross_columns(
+                    P,
+                    vertices_mm,
+                    bodies.edge_vertices[edges],
+                    edge_faces,
+                    room.is_seen,
+                    room.contour,
+                    count,
+                    is_mirrored,
+                    columns,
+                    room,
+                )
+        else:
+            depth = _draw_faces(P, bodies, body, columns, room)
         nearest = min(nearest, depth)
         if not nearest > 0.0:
             break
-        if bodies.is_closed[body]:
-            crossings, first, last = draw_closed(P, bodies, body, columns, room, crossings, bits, extents)
-        else:
-            faces = bodies.faces[bodies.face_start[body] : bodies.face_start[body + 1]]
-            first, last = fill_within(room.u, room.v, faces, False, bits, columns, extents)
-        top, bottom = min(top, first), max(bottom, last)
-    return crossings, top, bottom, nearest
+        body += 1
+        if body == world_from_cad.shape[0] and has_closed and by_contour and not _add_up(room, columns):
+            body, by_contour = 0, False  # once more, face by face
+    return nearest

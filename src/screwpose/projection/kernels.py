@@ -56,7 +56,7 @@ def set_run(bits, row, left, right):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_within(u, v, faces, one_sided, bits, columns, extents):
+def fill(u, v, faces, one_sided, bits, columns):
     """Set the bits of every pixel whose centre lies in or on the edge of a triangle.
 
     Parameters
@@ -66,14 +66,8 @@ def fill_within(u, v, faces, one_sided, bits, columns, extents):
     one_sided : leave out the triangles that turn one way: those of a closed surface that face the other way cover
         the same pixels.
     bits : (rows, words), uint64; bits beyond `columns` stay as they are.
-    extents : (rows, 2), widened: first and last word (not included) of each row that holds a bit.
-
-    Returns
-    -------
-    The first row that a triangle covers, and the last (not included).
     """
     rows = bits.shape[0]
-    top, bottom = rows, 0
     for face in range(faces.shape[0]):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         xa, ya, xb, yb, xc, yc = u[a], v[a], u[b], v[b], u[c], v[c]
@@ -100,13 +94,3 @@ def fill_within(u, v, faces, one_sided, bits, columns, extents):
             if left > right:
                 continue
             set_run(bits, row, left, right)
-            extents[row, 0] = min(extents[row, 0], left >> 6)
-            extents[row, 1] = max(extents[row, 1], (right >> 6) + 1)
-        top, bottom = min(top, first), max(bottom, last + 1)
-    return top, bottom
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill(u, v, faces, one_sided, bits, columns):
-    """As `fill_within`, where nobody asks in which words the bits are."""
-    fill_within(u, v, faces, one_sided, bits, columns, np.zeros((bits.shape[0], 2), dtype=np.int64))

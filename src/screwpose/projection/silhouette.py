@@ -58,16 +58,11 @@ def scene_bits(
     """
     from screwpose.projection import contour_kernels
 
-    rows, words = shape[0], -(-shape[1] // 64)
-    bits = np.zeros((rows, words), dtype=np.uint64)
-    extents = np.zeros((rows, 2), dtype=np.int64)
-    room, crossings = contour_kernels.room_for(bodies, rows, words), np.empty(8 * rows, dtype=np.int32)
+    room = contour_kernels.room_for(bodies, *shape)
     poses = np.ascontiguousarray(world_from_cad, dtype=np.float64)
-    nearest_mm = contour_kernels.draw_scene(
-        np.ascontiguousarray(pixels_from_world), poses, bodies, shape[1], room, crossings, bits, extents
-    )[3]
-    check_in_front(nearest_mm)
-    return bits
+    projection = np.ascontiguousarray(pixels_from_world, dtype=np.float64)
+    check_in_front(contour_kernels.draw_scene(projection, poses, bodies, shape[1], room))
+    return np.ascontiguousarray(room.bits[:, : shape[0]].T)
 
 
 def check_in_front(nearest_mm: float) -> None:

@@ -1,75 +1,78 @@
-"""Compiled loops that score bit rows: what `target.Target` and `reference.dice` say of a mask, without the mask."""
+"""Compiled loops that score masks of bits: what `target.Target` and `reference.dice` say of a mask, without the mask.
+
+Arrays are in blocks of 64 columns: a mask is (words, rows) words, bit k of word w is column ``64 w + k``. So the loops
+go down the rows of a block, and along the memory.
+"""
 
 import numpy as np
 from numba import njit
 
-from screwpose.projection.contour_kernels import draw_scene, room_for
+from screwpose.projection.contour_kernels import clear, draw_scene
 from screwpose.projection.kernels import count_bits, lowest_bit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_rows(bits, extents, top, bottom, region, beside, below, metal, sums):
+def measure(bits, ranges, region, beside, below, metal, sums):
     """What the loss and the Dice score need of a mask.
 
     Parameters
     ----------
-    bits : (rows, words), the mask.
-    extents : (rows, 2), first and last word (not included) of each row that may hold a bit; first >= last: none.
-    top, bottom : the first and last row (not included) that may hold a bit.
-    region, metal : (rows, words), the pixels that count, and the segmented implants among them.
-    beside, below : (rows, words), where a pixel and its left neighbour, or the one below, both count.
-    sums : (rows, columns + 1), the adjoint summed along each row: ``sums[r, c]`` is that of the columns before c.
+    bits : (words, rows or more), the mask.
+    ranges : (words, 2), the first row and the last (not included) of each block that may hold a bit.
+    region, metal : (words, rows), the pixels that count, and the segmented implants among them.
+    beside, below : (words, rows), where a pixel and its left neighbour, or the one below, both count.
+    sums : (words + 1, rows, 64), the adjoint summed along each row: that of the columns before ``64 w + k``.
 
     Returns
     -------
     The sum of the adjoint under the mask, how many differences are not zero, the mask's area, and that of its metal.
     """
-    rows, words = bits.shape
-    columns = sums.shape[1] - 1
-    one, zero = np.uint64(1), np.uint64(0)
+    words, rows = region.shape
+    one, zero, last_bit = np.uint64(1), np.uint64(0), np.uint64(63)
     correlation, transitions, area, common = 0.0, zero, zero, zero
-    for row in range(max(top - 1, 0), bottom):
-        first, last = extents[row, 0], extents[row, 1]
-        has_next = row + 1 < rows
-        if has_next:
-            first, last = min(first, extents[row + 1, 0]), max(last, extents[row + 1, 1])
-        last = min(last + 1, words)  # a run that ends with a word has its edge in the next
-        carry, is_inside = zero, False
-        for word in range(first, last):
-            mask = bits[row, word]
-            under = bits[row + 1, word] if has_next else zero
-            if mask | under | carry == zero:
+    nothing = np.zeros(rows, dtype=np.uint64)
+    first_carry, last_carry = rows, 0  # the rows in which the block before reaches this one
+    for word in range(words):
+        first, last = min(ranges[word, 0], first_carry), min(max(ranges[word, 1], last_carry), rows)
+        first_carry, last_carry = rows, 0
+        own, counting, left, is_left = bits[word], region[word], nothing, nothing
+        if word > 0:
+            left, is_left = bits[word - 1], region[word - 1]
+        own_metal, own_beside, own_below, own_sums = metal[word], beside[word], below[word], sums[word]
+        above = zero
+        for row in range(np.uint64(first), np.uint64(last)):  # unsigned: an index that cannot be negative is cheaper
+            mask = own[row] & counting[row]
+            carry = (left[row] & is_left[row]) >> last_bit
+            if mask | above | carry == zero:
                 continue
-            mask &= region[row, word]
-            if has_next:
-                under &= region[row + 1, word]
-            transitions += count_bits((mask ^ under) & below[row, word])
-            edges = mask ^ ((mask << one) | carry)
-            carry = mask >> np.uint64(63)
-            transitions += count_bits(edges & beside[row, word])
+            if row > 0:
+                transitions += count_bits((mask ^ above) & own_below[row - one])
+            above = mask
+            shifted = (mask << one) | carry
+            transitions += count_bits((mask ^ shifted) & own_beside[row])
             area += count_bits(mask)
-            common += count_bits(mask & metal[row, word])
-            while edges != zero:
-                column = 64 * word + np.int64(lowest_bit(edges))
-                edges &= edges - one
-                correlation += sums[row, column] if is_inside else -sums[row, column]
-                is_inside = not is_inside
-        if is_inside:  # up to the image's border
-            correlation += sums[row, columns]
+            common += count_bits(mask & own_metal[row])
+            begins, ends = mask & ~shifted, shifted & ~mask
+            while begins != zero:
+                correlation -= own_sums[row, lowest_bit(begins)]
+                begins &= begins - one
+            while ends != zero:
+                correlation += own_sums[row, lowest_bit(ends)]
+                ends &= ends - one
+            if mask >> last_bit != zero:
+                first_carry, last_carry = min(first_carry, np.int64(row)), np.int64(row) + 1
+        if first < last and last < rows:
+            transitions += count_bits(above & own_below[last - 1])
+    for row in range(first_carry, last_carry):  # up to the image's border, which is the end of a word here
+        if (bits[words - 1, row] & region[words - 1, row]) >> last_bit != zero:
+            correlation += sums[words, row, 0]
     return correlation, np.int64(transitions), np.int64(area), np.int64(common)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure(bits, first_row, last_row, first_word, last_word, region, beside, below, metal, sums):
-    """As `measure_rows`, of a mask that is empty outside the given rows and words (the last ones not included)."""
-    extents = np.zeros((bits.shape[0], 2), dtype=np.int64)
-    for row in range(first_row, last_row):
-        extents[row, 0], extents[row, 1] = first_word, last_word
-    return measure_rows(bits, extents, first_row, last_row, region, beside, below, metal, sums)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def measure_scenes(pixels_from_world, world_from_cad, bodies, region, beside, below, metal, sums, correlation, counts):
+def measure_scenes(
+    pixels_from_world, world_from_cad, bodies, room, columns, region, beside, below, metal, sums, correlation, counts
+):
     """Draw and measure many scenes in one view.
 
     Parameters
@@ -77,7 +80,9 @@ def measure_scenes(pixels_from_world, world_from_cad, bodies, region, beside, be
     pixels_from_world : (3, 4).
     world_from_cad : (K, B, 4, 4), K scenes of B bodies.
     bodies : `contour.Bodies`.
-    region, beside, below, metal, sums : see `measure_rows`.
+    room : of `room_for`, clear; left so, but where a scene is not in front of the source.
+    columns : of the image.
+    region, beside, below, metal, sums : see `measure`.
     correlation : (K,), filled: the sum of the adjoint under each mask.
     counts : (K, 3), filled: transitions, area, common.
 
@@ -85,26 +90,15 @@ def measure_scenes(pixels_from_world, world_from_cad, bodies, region, beside, be
     -------
     The smallest depth of any vertex, mm, or, where all are in front of the source, of their boxes.
     """
-    rows, words = region.shape
-    bits = np.zeros((rows, words), dtype=np.uint64)
-    extents = np.empty((rows, 2), dtype=np.int64)
-    extents[:, 0], extents[:, 1] = words, 0
-    room, crossings = room_for(bodies, rows, words), np.empty(8 * rows, dtype=np.int32)
     nearest = np.inf
     for scene in range(world_from_cad.shape[0]):
-        crossings, top, bottom, depth = draw_scene(
-            pixels_from_world, world_from_cad[scene], bodies, sums.shape[1] - 1, room, crossings, bits, extents
-        )
-        nearest = min(nearest, depth)
+        nearest = min(nearest, draw_scene(pixels_from_world, world_from_cad[scene], bodies, columns, room))
         if not nearest > 0.0:
             break
-        correlation[scene], counts[scene, 0], counts[scene, 1], counts[scene, 2] = measure_rows(
-            bits, extents, top, bottom, region, beside, below, metal, sums
+        correlation[scene], counts[scene, 0], counts[scene, 1], counts[scene, 2] = measure(
+            room.bits, room.ranges, region, beside, below, metal, sums
         )
-        for row in range(top, bottom):
-            for word in range(extents[row, 0], extents[row, 1]):
-                bits[row, word] = 0
-            extents[row, 0], extents[row, 1] = words, 0
+        clear(room)
     return nearest
 
 

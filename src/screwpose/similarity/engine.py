@@ -14,9 +14,9 @@ from screwpose._threads import available_threads, in_threads
 from screwpose._types import BoolArray, FloatArray
 from screwpose.geometry import Camera
 from screwpose.implants.model import Mesh
-from screwpose.projection.contour import packed_bodies
+from screwpose.projection.contour import Room, packed_bodies
 from screwpose.projection.silhouette import check_in_front, scene_bits, unpacked
-from screwpose.similarity.target import Target
+from screwpose.similarity.target import Target, in_blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,9 @@ class SceneEngine:
         self.view_names = tuple(targets)
         self._views = [(cameras[name], target) for name, target in targets.items()]
         for target in targets.values():  # made here, not by the first of several threads
-            _ = target.rows, target.metal_rows
+            _ = target.rows
+        self._rooms: list[list[Room]] = [[] for _ in targets]  # cleared megabytes: made once for each view and thread
+        self._metals = [in_blocks(target.metal_rows) for target in targets.values()]
         self._metal_areas = [int(np.bitwise_count(target.metal_rows).sum()) for target in targets.values()]
         self._bodies = packed_bodies([(mesh.vertices_mm, mesh.faces) for mesh in meshes])
         self._threads = threads or available_threads()
@@ -87,17 +89,28 @@ class SceneEngine:
         bits = scene_bits(camera.projection, world_from_cad, self._bodies, target.shape)
         return unpacked(bits, target.shape[1])
 
+    def _room(self, view: int) -> Room:
+        """Where a thread may draw; it is given back when the drawing is done."""
+        from screwpose.projection.contour_kernels import room_for
+
+        try:
+            return self._rooms[view].pop()
+        except IndexError:
+            room: Room = room_for(self._bodies, *self._views[view][1].shape)
+            return room
+
     def _score(self, view: int, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         from screwpose.similarity.bitrow_kernels import measure_scenes
 
         correlation, counts = np.zeros(len(poses)), np.zeros((len(poses), 3), dtype=np.int64)
         camera, target = self._views[view]
-        rows = target.rows
+        rows, room = target.rows, self._room(view)
         nearest_mm = measure_scenes(
-            camera.projection, poses, self._bodies, rows.region, rows.beside, rows.below, target.metal_rows, rows.sums,
-            correlation, counts,
+            camera.projection, poses, self._bodies, room, target.shape[1], rows.counting, rows.beside, rows.below,
+            self._metals[view], rows.sums, correlation, counts,
         )  # fmt: skip
         check_in_front(nearest_mm)
+        self._rooms[view].append(room)
         transitions, area, common = counts.T
         norm = np.sqrt(transitions) * target.gradient_norm
         loss = -correlation / np.where(norm > 0.0, norm, 1.0) * (norm > 0.0)

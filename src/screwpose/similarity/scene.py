@@ -10,7 +10,7 @@ from screwpose.geometry import Camera, rigid
 from screwpose.implants.model import Mesh
 from screwpose.projection.silhouette import BitRows
 from screwpose.similarity.reference import dice
-from screwpose.similarity.target import Target, Window
+from screwpose.similarity.target import Target, Window, in_blocks
 
 Silhouette = Callable[[FloatArray, IntArray, tuple[int, int]], BoolArray]
 """``silhouette(vertices_px, faces, shape) -> mask``, as in screwpose.projection."""
@@ -103,8 +103,9 @@ def score_rows(target: Target, mask: BitRows, metal: BitRows | None = None) -> V
     from screwpose.similarity.bitrow_kernels import measure
 
     rows, metal = target.rows, target.metal_rows if metal is None else metal
+    ranges = np.tile(np.array([0, mask.shape[0]]), (mask.shape[1], 1))
     correlation, transitions, area, common = measure(
-        mask, 0, mask.shape[0], 0, mask.shape[1], rows.region, rows.beside, rows.below, metal, rows.sums
+        in_blocks(mask), ranges, rows.counting, rows.beside, rows.below, in_blocks(metal), rows.sums
     )
     norm = float(np.sqrt(transitions)) * target.gradient_norm
     covered = int(area) + int(np.bitwise_count(metal).sum())

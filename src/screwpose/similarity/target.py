@@ -20,16 +20,18 @@ Window = tuple[slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class TargetRows:
-    """A target as the bit-row kernels want it; see `bitrow_kernels.measure`.
+    """A target as the kernels want it, in blocks of 64 columns; see `bitrow_kernels.measure`.
 
     Parameters
     ----------
-    region : the pixels that count.
-    beside, below : where a pixel and its left neighbour, or the one below, both count.
-    sums : (rows, columns + 1), the adjoint summed along each row.
+    region : (rows, words), the pixels that count, as bit rows.
+    counting : (words, rows), the same in blocks.
+    beside, below : (words, rows), where a pixel and its left neighbour, or the one below, both count.
+    sums : (words + 1, rows, 64), the adjoint of the columns before each one, summed along the row.
     """
 
     region: BitRows
+    counting: BitRows
     beside: BitRows
     below: BitRows
     sums: FloatArray
@@ -64,9 +66,12 @@ class Target:
         beside, below = np.zeros_like(region), np.zeros_like(region)
         beside[:, 1:] = region[:, 1:] & region[:, :-1]
         below[:-1] = region[1:] & region[:-1]
-        sums = np.zeros((region.shape[0], region.shape[1] + 1))
-        np.cumsum(self.adjoint, axis=1, out=sums[:, 1:])
-        return TargetRows(packed(region), packed(beside), packed(below), sums)
+        bits = packed(region)
+        rows, words = bits.shape
+        sums = np.zeros((rows, 64 * (words + 1)))
+        np.cumsum(self.adjoint, axis=1, out=sums[:, 1 : region.shape[1] + 1])
+        by_block = np.ascontiguousarray(sums.reshape(rows, words + 1, 64).transpose(1, 0, 2))
+        return TargetRows(bits, in_blocks(bits), in_blocks(packed(beside)), in_blocks(packed(below)), by_block)
 
     @cached_property
     def metal_rows(self) -> BitRows:
@@ -98,6 +103,11 @@ class Target:
         if transitions == 0 or self.gradient_norm == 0.0:
             return 0.0
         return -correlation / (float(np.sqrt(transitions)) * self.gradient_norm)
+
+
+def in_blocks(bits: BitRows) -> BitRows:
+    """Bit rows (rows, words) as blocks of 64 columns (words, rows): the words of a block lie one after the other."""
+    return np.ascontiguousarray(bits.T)
 
 
 def make_target(pixels: ImageArray, region: BoolArray, metal: BoolArray) -> Target:
