@@ -1,0 +1,109 @@
+"""One view's part of the normal equations for poses and cameras."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from screwpose._types import FloatArray
+from screwpose.geometry import rigid
+from screwpose.projection.thickness import MotionFrame, path_lengths
+from screwpose.registration.thickness_fit import Body
+from screwpose.similarity.blurred import PARAMETERS as OF_BLUR
+from screwpose.similarity.blurred import Blur, derivatives_of_bodies, explain_blurred
+from screwpose.similarity.thickness import GradientTarget
+
+OF_INTRINSICS = 3
+OF_IMAGE = OF_INTRINSICS + OF_BLUR
+"""Unknowns of a view that move the image, not what is seen: focal length, principal point, the detector's blur."""
+
+# Derivatives that were smoothed by 1.3 px share their noise with their neighbours: so many of them count as one.
+_CORRELATED_PX = 8.0
+_MARGIN_PX = 8
+
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSystem:
+    """The bodies' motions (6 B), then the logarithm of the focal length, the principal point in u and v, and the blur.
+
+    Parameters
+    ----------
+    information, gradient : (6 B + 6, 6 B + 6) and (6 B + 6,).
+    energy : the share of the image's gradient energy that is explained.
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    energy: float
+
+
+def view_system(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray], blur: Blur) -> ViewSystem:
+    """Linearise one view at some poses, world_from_cad (4, 4).
+
+    A body's motion is a rotation vector in world about its centre, then a shift in world.
+    """
+    first = 6 * len(bodies)
+    size = first + OF_IMAGE
+    windows = [_window(target, body, pose) for body, pose in zip(bodies, poses, strict=True)]
+    window = (_spanned([one[0] for one in windows]), _spanned([one[1] for one in windows]))
+    lengths: FloatArray = np.zeros((window[0].stop - window[0].start, window[1].stop - window[1].start))
+    motions = []
+    for body, pose, own in zip(bodies, poses, windows, strict=True):
+        alone, by_motion = _rendered(target, body, pose, own)
+        lengths[_inside(own, window)] += alone
+        motions.append(by_motion)
+    found = explain_blurred(target, lengths, window, blur)
+    if found is None:
+        return ViewSystem(np.zeros((size, size)), np.zeros(size), 0.0)
+    count = len(found.near)
+    place: NDArray[np.int64] = np.full(lengths.shape, -1, dtype=np.int64)
+    place.ravel()[found.near] = np.arange(count)
+    columns = np.zeros((size, 2 * count))
+    for index, (own, by_motion) in enumerate(zip(windows, motions, strict=True)):
+        where = place[_inside(own, window)]
+        slope = found.slope[_inside(own, window)]
+        moved = derivatives_of_bodies(target, blur, slope, by_motion, where >= 0)
+        used = where[where >= 0]
+        columns[6 * index : 6 * index + 6, used] = moved[:, 0]
+        columns[6 * index : 6 * index + 6, count + used] = moved[:, 1]
+    columns[first : first + OF_INTRINSICS] = found.by_intrinsics
+    columns[first + OF_INTRINSICS :] = found.by_blur
+    weighted = columns * (found.weights / (found.spread**2 * _CORRELATED_PX))
+    return ViewSystem(weighted @ columns.T, weighted @ found.residuals, found.energy)
+
+
+def _rendered(
+    target: GradientTarget, body: Body, pose: FloatArray, window: Window
+) -> tuple[FloatArray, NDArray[np.float32]]:
+    camera_from_cad = target.camera_from_world @ pose
+    center = rigid.transform(camera_from_cad, body.implant.center_mm)
+    frame = MotionFrame(center, target.camera_from_world[:3, :3].T)
+    found = path_lengths(target.intrinsics, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, window, frame)
+    assert found.by_motion is not None
+    return found.lengths_mm, found.by_motion
+
+
+def _window(target: GradientTarget, body: Body, pose: FloatArray) -> Window:
+    """Where a body is in the image, and as much around it as derivatives reach."""
+    points_mm = rigid.transform(target.camera_from_world @ pose, body.mesh.vertices_mm)
+    homogeneous = points_mm @ target.intrinsics.T
+    pixels = homogeneous[:, :2] / np.maximum(homogeneous[:, 2:], 1e-6)
+    rows, columns = target.shape
+    first = np.clip(np.floor(pixels.min(axis=0)) - _MARGIN_PX, 0, [columns - 1, rows - 1]).astype(int)
+    last = np.clip(np.ceil(pixels.max(axis=0)) + _MARGIN_PX + 1, first + 1, [columns, rows]).astype(int)
+    return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
+
+
+def _spanned(parts: Sequence[slice]) -> slice:
+    return slice(min(part.start for part in parts), max(part.stop for part in parts))
+
+
+def _inside(part: Window, whole: Window) -> Window:
+    """A window of the image as a part of a larger one."""
+    rows, columns = (
+        slice(own.start - all_.start, own.stop - all_.start) for own, all_ in zip(part, whole, strict=True)
+    )
+    return rows, columns

@@ -1,0 +1,259 @@
+"""A thickness model as a detector sees it: blurred before the logarithm, and with a response that may have a knee.
+
+A detector blurs the intensity, and the logarithm comes after: what is blurred into the shadow of dense metal is bright,
+so that its edges move inwards, by some 0.04 mm for a C-arm. Poses in cameras that are held hardly see that, since edges
+move in from all sides. Cameras that are free do: the implant looks smaller, so that its view moves away from it, and
+everything in it apart. So here the model begins with the length that the blurred intensity seems to have passed,
+``L' = -log(G * exp(-mu L)) / mu``: G is the detector's blur, a Gaussian with a share of a screen's long tails, mu the
+metal's attenuation. Scatter and display then make of it what they will, as long as it rises ever more slowly: a sum of
+ramps. A sum of exponentials cannot have the knee where scatter or a black level ends the rise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from screwpose._types import BoolArray, FloatArray, ImageArray
+from screwpose.similarity.thickness import GradientTarget
+
+# Detectors of C-arms have sigmas of 0.6 to 2 px, metals attenuate by 0.2 to 0.6 a mm, and half of the variance may be
+# in the tails. The spreads are of the logarithms of the first two, and of the tail's logit.
+_USUAL = (np.log(1.2), np.log(0.3), 0.0)
+_SPREADS = (0.35, 0.5, 1.5)
+PARAMETERS = len(_USUAL)
+# A screen spreads light as two-sided exponentials, 1 / (1 + H f^2): a mixture of Gaussians whose variances themselves
+# are distributed exponentially. Nodes of Gauss and Laguerre: weight, variance.
+_NODES = ((0.7110930099, 0.4157745568), (0.2785177336, 2.2942803603), (0.0103892565, 6.2899450829))
+_BOX = 1.0 / 12.0  # variance of the square over which a reduced image averages, and points of a model do not
+_STEP = 0.02
+
+# A ramp rises evenly up to its knee. Sums of them are whatever rises ever more slowly.
+_KNEES_MM = (0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0)
+_ROUND = 4.0  # of a knee: its width is its place over this
+_LONGEST_MM = 80.0
+_TABLE_MM = np.arange(0.0, _LONGEST_MM + 0.02, 0.02)
+
+_RIM_SHARE = 0.15
+_CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
+_SAMPLES = 20_000
+_RIDGE = 1e-6  # ramps resemble each other
+
+Gradients = NDArray[np.float32]
+Rows = NDArray[np.float64] | NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Blur:
+    """A detector's blur before the logarithm; `parameters` is standardised: 0 what is usual, 1 a spread from it.
+
+    Parameters
+    ----------
+    sigma_px : of the whole X-ray.
+    per_mm : mu, how much metal attenuates.
+    tail : logit of the share of the variance that is in the screen's tails.
+    """
+
+    sigma_px: float = float(np.exp(_USUAL[0]))
+    per_mm: float = float(np.exp(_USUAL[1]))
+    tail: float = _USUAL[2]
+
+    @property
+    def parameters(self) -> FloatArray:
+        """(3,), of sigma, attenuation and tail."""
+        own = np.array([np.log(self.sigma_px), np.log(self.per_mm), self.tail])
+        return np.asarray((own - _USUAL) / _SPREADS)
+
+    def then(self, step: FloatArray) -> "Blur":
+        """With `parameters` changed by (3,)."""
+        sigma, per_mm, tail = (self.parameters + step) * _SPREADS + _USUAL
+        return Blur(float(np.exp(sigma)), float(np.exp(per_mm)), float(tail))
+
+
+@dataclass(frozen=True, eq=False)
+class BlurredView:
+    """How a blurred thickness model explains one view, and what its derivatives change with.
+
+    Parameters
+    ----------
+    near : (N,), flat indices in the window of the pixels that are compared.
+    residuals, weights : (2 N,), the image's derivatives minus the model's, along u, then along v; and robust weights.
+    spread : robust standard deviation of the residuals on the model's edges.
+    energy : the share of the image's gradient energy there that the model explains.
+    slope : (rows, columns) of the window, how the response changes with the blurred path length, per mm.
+    by_intrinsics : (3, 2 N), how the model's derivatives change with the logarithm of the focal length, then with the
+        principal point in u and in v, px of the whole X-ray.
+    by_blur : (3, 2 N), and with `Blur.parameters`.
+    """
+
+    near: NDArray[np.intp]
+    residuals: FloatArray
+    weights: FloatArray
+    spread: float
+    energy: float
+    slope: FloatArray
+    by_intrinsics: FloatArray
+    by_blur: FloatArray
+
+
+def explain_blurred(
+    target: GradientTarget, lengths_mm: FloatArray, window: tuple[slice, slice], blur: Blur
+) -> BlurredView | None:
+    """Compare a thickness model with one view; None where nothing of it is in the image.
+
+    Parameters
+    ----------
+    lengths_mm : (rows, columns) of the window: the path lengths of all bodies together.
+    """
+    lengths: ImageArray = np.clip(lengths_mm, 0.0, _LONGEST_MM).astype(np.float32)
+    near = np.flatnonzero(_near(lengths, target.blur_px) & target.counts[window])
+    if not len(near):
+        return None
+    seen = np.concatenate([image[window].ravel()[near] for image in (target.along_u, target.along_v)]).astype(float)
+    table = np.stack([_ramp(knee) for knee in _KNEES_MM])
+    own_px = _model_px(target)
+    through = _blurred(lengths, blur, target.scale)
+    rows = np.stack([smoothed_derivatives(_looked_up(one, through), own_px, near).ravel() for one in table])
+    response, residuals, weights, spread = _fitted(rows, seen)
+    curve = response @ table
+    image = _looked_up(curve, through)
+    by_blur = []
+    for step in np.eye(PARAMETERS) * _STEP:
+        moved = _looked_up(curve, _blurred(lengths, blur.then(step), target.scale))
+        by_blur.append(smoothed_derivatives((moved - image) / np.float32(_STEP), own_px, near).ravel())
+    return BlurredView(
+        near=near,
+        residuals=residuals,
+        weights=weights,
+        spread=spread,
+        energy=1.0 - float(residuals @ residuals) / max(float(seen @ seen), 1e-300),
+        slope=_looked_up(np.gradient(curve, _TABLE_MM), through).astype(np.float64),
+        by_intrinsics=_by_intrinsics(target, image, own_px, window, near),
+        by_blur=np.stack(by_blur).astype(float),
+    )
+
+
+def derivatives_of_bodies(
+    target: GradientTarget, blur: Blur, slope: FloatArray, by_motion: Gradients, inside: BoolArray
+) -> FloatArray:
+    """How the model's derivatives change with the motion of a body, (6, 2, n), at the n pixels of its window `inside`.
+
+    Parameters
+    ----------
+    slope : (rows, columns) of the body's window.
+    by_motion : (rows, columns, 6), how its path lengths change.
+    """
+    near = np.flatnonzero(inside)
+    return np.stack(
+        [smoothed_derivatives(slope * by_motion[:, :, k], _total_px(target, blur), near) for k in range(6)]
+    ).astype(float)
+
+
+def smoothed_derivatives(image: Rows, sigma_px: float, near: NDArray[np.intp]) -> Gradients:
+    """Derivatives of an image smoothed by a Gaussian, along u and along v, (2, N), at N flat indices."""
+    smooth, slope, _ = _kernels(sigma_px)
+    return np.stack([_filtered(image, slope, smooth).ravel()[near], _filtered(image, smooth, slope).ravel()[near]])
+
+
+def _by_intrinsics(
+    target: GradientTarget, image: ImageArray, sigma_px: float, window: tuple[slice, slice], near: NDArray[np.intp]
+) -> FloatArray:
+    """With x and y the pixels from the principal point and m the image: a principal point that is further along u by 1
+    makes ``-m_u`` of it, a focal length that is longer by a share e ``-e (x m_u + y m_v)``, which is
+    ``-e ((x m)_u + (y m)_v - 2 m)``: convolutions of m, x m and y m, in which nothing is singular at the rims."""
+    smooth, slope, curve = _kernels(sigma_px)
+    x = (np.arange(window[1].start, window[1].stop) - target.intrinsics[0, 2]).astype(np.float32)
+    y = (np.arange(window[0].start, window[0].stop) - target.intrinsics[1, 2]).astype(np.float32)
+    across, down = image * x, image * y[:, None]
+    uu, uv, vv = _filtered(image, curve, smooth), _filtered(image, slope, slope), _filtered(image, smooth, curve)
+    focal_u = _filtered(across, curve, smooth) + _filtered(down, slope, slope) - 2 * _filtered(image, slope, smooth)
+    focal_v = _filtered(across, slope, slope) + _filtered(down, smooth, curve) - 2 * _filtered(image, smooth, slope)
+    columns = [(focal_u, focal_v), (uu / target.scale, uv / target.scale), (uv / target.scale, vv / target.scale)]
+    return -np.stack([np.concatenate([one.ravel()[near] for one in pair]) for pair in columns]).astype(float)
+
+
+def _model_px(target: GradientTarget) -> float:
+    """The smoothing of a model of points that makes it as smooth as the target."""
+    return float(np.sqrt(target.blur_px**2 + (_BOX if target.scale > 1 else 0.0)))
+
+
+def _total_px(target: GradientTarget, blur: Blur) -> float:
+    return float(np.hypot(_model_px(target), blur.sigma_px / target.scale))
+
+
+def _blurred(lengths_mm: ImageArray, blur: Blur, scale: int) -> ImageArray:
+    """``-log(G * exp(-mu L)) / mu``: the lengths that the blurred intensity seems to have passed, mm."""
+    lit = np.exp(np.float32(-blur.per_mm) * lengths_mm)
+    around = np.zeros_like(lit)
+    tail = 1.0 / (1.0 + np.exp(-blur.tail))
+    for weight, share in _NODES:
+        sigma_px = blur.sigma_px / scale * float(np.sqrt(1.0 - tail + tail * share))
+        smooth, _, _ = _kernels(max(sigma_px, 0.05))
+        around += np.float32(weight) * _filtered(lit, smooth, smooth)
+    seen = np.log(np.maximum(around, 1e-30)) / np.float32(-blur.per_mm)
+    return np.asarray(np.clip(seen, 0.0, _LONGEST_MM), dtype=np.float32)
+
+
+def _kernels(sigma_px: float) -> Sequence[NDArray[np.float32]]:
+    """A Gaussian and its first two derivatives; OpenCV correlates, so the odd one is turned round."""
+    reach = max(1, int(np.ceil(4.0 * sigma_px)))
+    x = np.arange(-reach, reach + 1, dtype=np.float64)
+    smooth = np.exp(-0.5 * (x / sigma_px) ** 2)
+    smooth /= smooth.sum()
+    kernels = (smooth, x / sigma_px**2 * smooth, (x**2 / sigma_px**4 - sigma_px**-2) * smooth)
+    return [kernel.astype(np.float32) for kernel in kernels]
+
+
+def _filtered(image: FloatArray | ImageArray, along_u: Gradients, along_v: Gradients) -> Gradients:
+    import cv2
+
+    pixels = np.ascontiguousarray(image, dtype=np.float32)
+    return np.asarray(cv2.sepFilter2D(pixels, cv2.CV_32F, along_u, along_v, borderType=cv2.BORDER_REPLICATE))
+
+
+def _near(lengths_mm: Rows, blur_px: float) -> BoolArray:
+    """The pixels whose derivatives metal reaches."""
+    import cv2
+
+    reach = int(np.ceil(4.0 * blur_px))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.dilate((lengths_mm > 0.0).view(np.uint8), disc).view(np.bool_))
+
+
+def _ramp(knee_mm: float) -> FloatArray:
+    """Rises by 1 a mm up to about its knee, then no more, at the table's path lengths."""
+    width = knee_mm / _ROUND
+    return np.asarray(-width * np.log((np.exp(-_TABLE_MM / width) + np.exp(-_ROUND)) / (1.0 + np.exp(-_ROUND))))
+
+
+def _looked_up(table: FloatArray, lengths_mm: Rows) -> ImageArray:
+    place = lengths_mm * (1.0 / (_TABLE_MM[1] - _TABLE_MM[0]))
+    below = place.astype(np.int32)
+    upper = np.minimum(below + 1, len(table) - 1)
+    single = table.astype(np.float32)
+    share = (place - below).astype(np.float32)
+    return np.asarray(single[below] + share * (single[upper] - single[below]), dtype=np.float32)
+
+
+def _fitted(rows: Rows, seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Weights (9,) of the ramps that are not negative, robustly; the residuals, their weights, and their spread."""
+    from scipy.optimize import nnls
+
+    weights = np.ones(len(seen))
+    basis: FloatArray = rows.astype(np.float64)
+    step = max(1, len(seen) // _SAMPLES)
+    for _ in range(2):
+        matrix, right = (basis * weights) @ basis.T, (basis * weights) @ seen
+        size = np.sqrt(np.diag(matrix) + 1e-300)
+        root = np.linalg.cholesky(matrix / np.outer(size, size) + _RIDGE * np.eye(len(matrix)))
+        response, _ = nnls(root.T, np.linalg.solve(root, right / size), maxiter=50 * len(matrix))
+        response /= size
+        model = response @ basis
+        residuals = seen - model
+        edges = np.abs(model[::step])
+        rim = edges > _RIM_SHARE * np.percentile(edges, 99)
+        spread = 1.4826 * float(np.median(np.abs(residuals[::step][rim]))) if rim.any() else float(np.std(residuals))
+        spread = max(spread, 1e-9)
+        weights = 1.0 / (1.0 + (residuals / (_CAUCHY * spread)) ** 2)
+    return np.asarray(response), residuals, weights, spread
