@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.stats import chi2, kstest
 
 from screwpose.errors import ParallelViewsError
 from screwpose.pairing import LandmarkNoise, fit_segment
+from screwpose.pairing.segment import _residuals, triangulated_segment
 from tests.pairing.scenes import camera, screws
 
 CAMERAS = [camera(0.0), camera(88.0)]
@@ -48,3 +50,24 @@ def test_parallel_views_are_refused() -> None:
     pixels = np.array([view.project(ends) for view in views])
     with pytest.raises(ParallelViewsError, match="3 are needed"):
         fit_segment(views, pixels[:, 0], pixels[:, 1], 22.5, LandmarkNoise())
+
+
+@pytest.mark.parametrize("wrong_mm", [0.0, 6.0])
+def test_the_least_chi_square_is_scipys(wrong_mm: float) -> None:
+    """Also where the marks are not one screw's: the residuals are then large, and the fit has far to go."""
+    rng = np.random.default_rng(5)
+    noise = LandmarkNoise(1.5, 0.4)
+    compared = 0
+    for _ in range(40):
+        ends = screws(rng, 1)[0]
+        pixels = np.array([view.project(ends + rng.normal(0, wrong_mm, (1, 3))) for view in CAMERAS])
+        pixels += rng.normal(0, 1.5, (2, 2, 2))
+        start = triangulated_segment(CAMERAS, pixels[:, 0], pixels[:, 1], 22.5, noise)
+        arguments = (CAMERAS, pixels[:, 0], pixels[:, 1], 22.5, noise)
+        found = least_squares(
+            lambda x, a=arguments: _residuals(x, *a), np.concatenate([start.tip_mm, start.center_mm]), method="lm"
+        )
+        got = fit_segment(*arguments)
+        compared += start.chi_square > 1.01 * got.chi_square  # the triangulated points are not yet the answer
+        assert got.chi_square == pytest.approx(2.0 * found.cost, rel=1e-6)
+    assert compared > 20

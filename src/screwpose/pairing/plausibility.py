@@ -15,7 +15,7 @@ from screwpose.errors import AnnotationError
 from screwpose.files.case import Case
 from screwpose.files.findings import Finding
 from screwpose.pairing.confidence import p_value, p_value_of
-from screwpose.pairing.hypotheses import Combination, Hypothesis, combinations
+from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, combinations
 from screwpose.pairing.mistakes import Suspect, families, swapped_ends, swapped_views
 from screwpose.pairing.segment import LandmarkNoise
 
@@ -36,9 +36,10 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
     explain them, or that none of the usual ones does.
     """
     noise = noise or LandmarkNoise()
-    chance = _explains(case, noise)
+    table = HypothesisTable(case, noise)  # every pair is fitted once, whatever is asked of it
+    chance = _explains(case, noise, table)
     if chance >= _SUSPICIOUS_P_VALUE:
-        return (*_better_swapped(case, noise), *_pointing_apart(case, noise))
+        return (*_better_swapped(case, noise, table), *_pointing_apart(case, noise, table))
     lonely = _marks_without_partner(case, noise)
     some_fit = len(lonely) < sum(len(marks) for marks in case.annotations.values())
     # A mistake in a matrix, a unit or a way of counting spoils every pair: where some fit, only a mark can be wrong.
@@ -89,16 +90,18 @@ def _lonely_marks(case: Case, lonely: Sequence[tuple[str, str]]) -> Finding:
     )
 
 
-def _better_swapped(case: Case, noise: LandmarkNoise) -> Iterator[Finding]:
+def _better_swapped(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> Iterator[Finding]:
     """A warning where the landmarks fit, but fit clearly better with two matrices swapped.
 
     Two views at about 90 degrees are nearly mirror images of each other, and so is a swapped case: rays still meet,
     screws keep their length, and only small asymmetries of the C-arm's path tell (none at all if there are none).
     """
-    as_given = combinations(case, noise, 1)[0].chi_square
+    as_given = combinations(case, noise, 1, table)[0].chi_square
     for suspect in swapped_views(case):
-        swapped = combinations(suspect.case, noise, 1)
-        if swapped and as_given - swapped[0].chi_square > _CLEARLY_BETTER and _explains(suspect.case, noise):
+        of_suspect = HypothesisTable(suspect.case, noise)
+        swapped = combinations(suspect.case, noise, 1, of_suspect)
+        is_better = bool(swapped) and as_given - swapped[0].chi_square > _CLEARLY_BETTER
+        if is_better and _explains(suspect.case, noise, of_suspect):
             yield Finding(
                 "warning",
                 f"{suspect.problem.replace('fit only', 'fit better')}: chi-square {swapped[0].chi_square:.1f} "
@@ -110,13 +113,13 @@ def _better_swapped(case: Case, noise: LandmarkNoise) -> Iterator[Finding]:
             )
 
 
-def _pointing_apart(case: Case, noise: LandmarkNoise) -> Iterator[Finding]:
+def _pointing_apart(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> Iterator[Finding]:
     """A warning where one screw points against another.
 
     A mark whose line in the image is nearly the other view's epipolar line can be turned round without any ray missing
     another. The screw then comes out the other way round, which its neighbours show.
     """
-    apart = _opposed(combinations(case, noise, 1)[0])
+    apart = _opposed(combinations(case, noise, 1, table)[0])
     if apart is None:
         return
     suspect = _best_of(swapped_ends(case), noise)
@@ -146,17 +149,18 @@ def _best_of(family: Iterable[Suspect], noise: LandmarkNoise) -> Suspect | None:
     """Of the mistakes of one kind the one that explains the landmarks best and leaves no screws against each other."""
     best: tuple[tuple[bool, float], Suspect] | None = None
     for suspect in family:
-        chance = _explains(suspect.case, noise)
+        table = HypothesisTable(suspect.case, noise)
+        chance = _explains(suspect.case, noise, table)
         if chance >= _EXPLAINED_P_VALUE:
-            agree = _opposed(combinations(suspect.case, noise, 1)[0]) is None
+            agree = _opposed(combinations(suspect.case, noise, 1, table)[0]) is None
             if best is None or (agree, chance) > best[0]:
                 best = ((agree, chance), suspect)
     return None if best is None else best[1]
 
 
-def _explains(case: Case, noise: LandmarkNoise) -> float:
+def _explains(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> float:
     """The best pairing's p-value, 0 where a mark that could have had a partner stays alone."""
-    found = combinations(case, noise, 1)
+    found = combinations(case, noise, 1, table)
     could_pair = sorted(len(marks) for marks in case.annotations.values())[-2]
     if not found or len(found[0].hypotheses) < min(could_pair, len(case.annotations[next(iter(case.views))])):
         return 0.0
