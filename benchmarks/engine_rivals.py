@@ -14,7 +14,7 @@ from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, Mesh, ScrewDesign, make_screw
 from screwpose.implants.mesh import reduced
 from screwpose.projection import opencv, reference
-from screwpose.projection.silhouette import packed
+from screwpose.projection.silhouette import is_closed_surface, packed
 from screwpose.projection.thickness import path_lengths
 from screwpose.registration.search import SearchOptions, bounds_rad_mm, moved_by_each
 from screwpose.similarity import Posed, SceneEngine, Target, dice, make_target, union_mask
@@ -55,15 +55,31 @@ class Scene:
 
 @cache
 def screw(faces: int | None) -> Implant:
-    """The library's screw with so many faces, decimated, or made of more segments first; None: as it is made."""
-    segments = FULL.segments
+    """The library's screw with so many faces: made of more segments, then split in four, then decimated.
+
+    None: as it is made.
+    """
     implant = make_screw(FULL)
-    while faces is not None and len(implant.mesh.faces) < faces and segments < 2048:
-        segments *= 2
-        implant = make_screw(ScrewDesign(segments=segments))
-    if faces is None or len(implant.mesh.faces) <= faces:
+    if faces is None:
         return implant
-    return Implant(implant.name, reduced(implant.mesh, faces), implant.tip_mm, implant.center_mm)
+    if len(implant.mesh.faces) < faces:
+        implant = make_screw(ScrewDesign(segments=256))
+    mesh = implant.mesh
+    while len(mesh.faces) < faces:
+        mesh = split_in_four(mesh)
+    mesh = reduced(mesh, faces)
+    assert is_closed_surface(mesh.faces), f"{len(mesh.faces)} faces are not closed"
+    return Implant(implant.name, mesh, implant.tip_mm, implant.center_mm)
+
+
+def split_in_four(mesh: Mesh) -> Mesh:
+    """Every face as four, by the middles of its edges."""
+    edges = np.sort(mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    ends, middle = np.unique(edges, axis=0, return_inverse=True)
+    middle = middle.reshape(-1, 3) + len(mesh.vertices_mm)
+    (a, b, c), (ab, bc, ca) = mesh.faces.T, middle.T
+    faces = np.concatenate([np.stack(four, axis=1) for four in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return Mesh(np.concatenate([mesh.vertices_mm, mesh.vertices_mm[ends].mean(axis=1)]), faces)
 
 
 def make_scene(faces: int | None, pixels: int = 1024, screws: int = 2, candidates: int = 40, seed: int = 7) -> Scene:

@@ -120,5 +120,6 @@ class SceneEngine:
 
 def _even_parts(count: int, parts: int) -> list[tuple[int, int]]:
     """Cut ``range(count)`` into at most so many pieces of nearly the same length."""
-    ends = np.linspace(0, count, min(parts, max(count, 1)) + 1).astype(int)
-    return list(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True))
+    parts = min(parts, max(count, 1))
+    ends = [count * part // parts for part in range(parts + 1)]
+    return list(zip(ends[:-1], ends[1:], strict=True))
