@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from screwpose.images import field_of_view, read_radiograph
+from screwpose.images.field import _circles_through, _fit_circle
 from screwpose.images.radiograph import Radiograph
 from tests.data import shared_data
 from tests.images.scenes import grid, rod, spine_with_screws
@@ -125,3 +126,13 @@ def test_real_collimated(name: str, transposed: bool) -> None:
     assert found[117 + 14 : 906 - 13].all()
     assert not found[: 117 + 2].any()
     assert not found[906 - 1 :].any()
+
+
+def test_circles_through_three_points_are_those_of_the_fit() -> None:
+    triples = np.random.default_rng(0).uniform(0, 1000, (50, 3, 2))
+    triples[7] = [[0, 0], [10, 20], [30, 60]]  # on a line
+    want = [circle for circle in map(_fit_circle, triples) if circle is not None]
+    assert len(want) == 49
+    np.testing.assert_allclose(_circles_through(triples), want, rtol=1e-6)
+    u, v, radius = want[0]
+    np.testing.assert_allclose(np.hypot(*(triples[0] - (u, v)).T), radius, rtol=1e-9)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from screwpose._threads import in_threads
 from screwpose._types import BoolArray
 from screwpose.errors import ImageError
 from screwpose.files.inspection import Inspection
@@ -31,23 +32,29 @@ def read_images(views: Mapping[str, Mapping[str, Any]], inspection: Inspection) 
     ----------
     views : the valid keys of each view of the case file.
     """
-    found = {}
-    for name, view in views.items():
-        where = f"views.{name}"
-        path = inspection.file(view.get("image"), f"{where}.image", ImageError)
-        mask_path = inspection.file(view.get("mask"), f"{where}.mask", ImageError)
-        target_path = inspection.file(view.get("target"), f"{where}.target", ImageError)
-        radiograph = _radiograph(path, view.get("polarity", "auto"), where, inspection)
-        if radiograph is None:
-            continue
-        if mask_path is None:
-            mask = _field_of_view(radiograph, where, inspection)
-        else:
-            mask = _mask(mask_path, radiograph.size, f"{where}.mask", inspection)
-        target = None if target_path is None else _mask(target_path, radiograph.size, f"{where}.target", inspection)
-        found[name] = ViewImages(radiograph, mask, target)
+    apart = [(name, view, Inspection(inspection.case_file)) for name, view in views.items()]
+    read = in_threads(lambda one: _read_view(*one), apart)
+    for _, _, own in apart:  # in the order of the file, whichever was read first
+        inspection.findings.extend(own.findings)
+    found = {name: images for name, images in zip(views, read, strict=True) if images is not None}
     _refuse_equal_images(found, inspection)
     return found
+
+
+def _read_view(name: str, view: Mapping[str, Any], inspection: Inspection) -> ViewImages | None:
+    where = f"views.{name}"
+    path = inspection.file(view.get("image"), f"{where}.image", ImageError)
+    mask_path = inspection.file(view.get("mask"), f"{where}.mask", ImageError)
+    target_path = inspection.file(view.get("target"), f"{where}.target", ImageError)
+    radiograph = _radiograph(path, view.get("polarity", "auto"), where, inspection)
+    if radiograph is None:
+        return None
+    if mask_path is None:
+        mask = _field_of_view(radiograph, where, inspection)
+    else:
+        mask = _mask(mask_path, radiograph.size, f"{where}.mask", inspection)
+    target = None if target_path is None else _mask(target_path, radiograph.size, f"{where}.target", inspection)
+    return ViewImages(radiograph, mask, target)
 
 
 def _radiograph(path: Path | None, polarity: Any, where: str, inspection: Inspection) -> Radiograph | None:

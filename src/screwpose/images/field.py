@@ -143,11 +143,9 @@ def _circle_through(points: NDArray[np.float64], tolerance_px: float) -> tuple[f
         return None
     rng = np.random.default_rng(0)
     best = np.zeros(len(points), dtype=np.bool_)
-    for triple in rng.integers(0, len(points), (200, 3)):
-        circle = _fit_circle(points[triple])
-        if circle is not None:
-            on = np.abs(_distance(points, circle) - circle[2]) < tolerance_px
-            best = on if on.sum() > best.sum() else best
+    for trial in _circles_through(points[rng.integers(0, len(points), (200, 3))]):
+        on = np.abs(_distance(points, trial) - trial[2]) < tolerance_px
+        best = on if on.sum() > best.sum() else best
     circle = _fit_circle(points[best]) if best.sum() >= 3 else None
     if circle is None or best.mean() < _LEAST_ON_CIRCLE:
         return None
@@ -156,6 +154,17 @@ def _circle_through(points: NDArray[np.float64], tolerance_px: float) -> tuple[f
     if circle[2] > span or _distance(points, circle).min() < 0.9 * circle[2]:
         return None
     return circle
+
+
+def _circles_through(triples: NDArray[np.float64]) -> list[tuple[float, float, float]]:
+    """The circles through three points each, (N, 3, 2); `_fit_circle` of each, but for those on a line."""
+    middles = triples.mean(axis=1)
+    centred = triples - middles[:, None]
+    systems = np.concatenate([2.0 * centred, np.ones((*centred.shape[:2], 1))], axis=2)
+    is_round = np.linalg.cond(systems) <= 1e8
+    a, b, c = np.linalg.solve(systems[is_round], (centred[is_round] ** 2).sum(axis=2)[..., None])[..., 0].T
+    u, v = middles[is_round].T + (a, b)
+    return list(zip(u.tolist(), v.tolist(), np.sqrt(np.maximum(c + a * a + b * b, 0.0)).tolist(), strict=True))
 
 
 def _fit_circle(points: NDArray[np.float64]) -> tuple[float, float, float] | None:
