@@ -7,6 +7,7 @@ rounding.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -121,5 +122,4 @@ class SceneEngine:
 def _even_parts(count: int, parts: int) -> list[tuple[int, int]]:
     """Cut ``range(count)`` into at most so many pieces of nearly the same length."""
     parts = min(parts, max(count, 1))
-    ends = [count * part // parts for part in range(parts + 1)]
-    return list(zip(ends[:-1], ends[1:], strict=True))
+    return list(pairwise(count * part // parts for part in range(parts + 1)))
