@@ -20,10 +20,16 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def in_threads(function: Callable[[_Item], _Value], items: Iterable[_Item]) -> list[_Value]:
+def in_threads(
+    function: Callable[[_Item], _Value], items: Iterable[_Item], give_up: Callable[[], None] | None = None
+) -> list[_Value]:
     """``[function(item) for item in items]``; the first error in the order of the items is raised.
 
     Within such a thread it runs one after the other: what is outermost has the threads.
+
+    Parameters
+    ----------
+    give_up : called at an error or interrupt, before the threads that still run are waited for: it may tell them.
     """
     todo = list(items)
     threads = min(available_threads(), len(todo))
@@ -35,4 +41,9 @@ def in_threads(function: Callable[[_Item], _Value], items: Iterable[_Item]) -> l
         return function(item)
 
     with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(inside, todo))
+        try:
+            return list(pool.map(inside, todo))
+        except BaseException:
+            if give_up is not None:
+                give_up()
+            raise

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from threading import Lock
 from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
-from screwpose.errors import MeshError
+from screwpose._threads import in_threads
+from screwpose.errors import CancelledError, MeshError
 from screwpose.files.case import Case
 from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
@@ -18,7 +20,7 @@ from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, s
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable, combinations
 from screwpose.pairing.plausibility import check_plausibility
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
-from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness
+from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
 from screwpose.registration import Progress, SearchOptions
 
 Method = Literal["default", "paper", "epipolar"]
@@ -185,20 +187,57 @@ def _registered_by_thickness(
     promising = _promising(trials, options)
     centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
     thickness = prepare_thickness(case, np.mean(centers, axis=0))
-    done = []
-    for index, trial in enumerate(promising):
-        within = _of_several(tell, index, len(promising))
-        found, quality = refine_by_thickness(case, thickness, trial.combination, trial.placed, options.noise, within)
+    together = _SideBySide(_within(tell, 0.0, 0.7), len(promising))
+
+    def registered(index: int) -> Trial:
+        trial = promising[index]
+        found, quality = refine_by_thickness(
+            case, thickness, trial.combination, trial.placed, options.noise, together.progress_of(index)
+        )
         post = score(evidence, trial.combination, found.world_from_cad)
-        done.append(replace(trial, found=found, post=post, quality=quality))
+        return replace(trial, found=found, post=post, quality=quality)
+
+    done = in_threads(registered, range(len(promising)), together.give_up)
     done += [trial for trial in trials if trial not in promising]
     marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in done]
     again = judged_again(np.array([trial.probability for trial in done]), *np.array(marks).T)
-    return [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
+    judged = [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
+    chosen = min(judged, key=_ORDERS[options.method])
+    assert chosen.found is not None
+    found, quality = settle_by_thickness(
+        case, thickness, chosen.combination, chosen.found, options.noise, _within(tell, 0.7, 1.0)
+    )
+    post = score(evidence, chosen.combination, found.world_from_cad)
+    settled = replace(chosen, found=found, post=post, quality=quality)
+    return [settled if trial is chosen else trial for trial in judged]
 
 
 def _of_several(tell: Progress, index: int, count: int) -> Progress:
     return _within(tell, index / count, (index + 1) / count, f"registering combination {index + 1} of {count}: ")
+
+
+class _SideBySide:
+    """The progress of combinations that are registered at once: how far all of them are together."""
+
+    def __init__(self, tell: Progress, count: int) -> None:
+        self._tell = tell
+        self._shares = [0.0] * count
+        self._turn = Lock()
+        self._is_given_up = False
+
+    def give_up(self) -> None:
+        """Stop them all when they next tell how far they are."""
+        self._is_given_up = True
+
+    def progress_of(self, index: int) -> Progress:
+        def tell(fraction: float, what: str) -> None:
+            with self._turn:
+                if self._is_given_up:
+                    raise CancelledError("stopped with the other combinations")
+                self._shares[index] = fraction
+                self._tell(sum(self._shares) / len(self._shares), f"registering side by side: {what}")
+
+        return tell
 
 
 def _by_chi_square(trial: Trial) -> tuple[bool, float]:

@@ -19,8 +19,16 @@ def test_order_errors_and_no_threads_within_threads(monkeypatch: pytest.MonkeyPa
         return n, set(inner) - {threading.get_ident()}
 
     assert in_threads(meet, range(3)) == [(n, set()) for n in range(3)]
+    given_up = threading.Event()
+
+    def fail_or_wait(n: int) -> int:
+        if n == 0:
+            return 1 // n
+        assert given_up.wait(timeout=10)  # the error of another is told before this one is waited for
+        return n
+
     with pytest.raises(ZeroDivisionError):
-        in_threads(lambda n: 1 // n, [1, 0])
+        in_threads(fail_or_wait, [0, 1, 2], given_up.set)
 
 
 def test_one_thread_is_a_loop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,30 +15,34 @@ from screwpose._types import FloatArray
 from screwpose.files.case import Case, View
 from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
-from screwpose.implants.reduction import closed, reduced_within
+from screwpose.implants.reduction import closed, reduced_to, reduced_within
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import Progress, SearchResult
 from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.registration.recipe import Stage, Targets, fit_by_thickness, scaled_stages
-from screwpose.registration.thickness_fit import Body, energies_of_each
+from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
+from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, linearised
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 
 # Models of more triangles are reduced, as far as moves their surface by no more than this share of a pixel at the
 # screws, and not below the second number, which is twice what a screw with its tower needs for a hundredth of a mm.
 _MANY_FACES, _FEWEST_FACES = 20_000, 12_000
 _SURFACE_BOUND_PX = 0.1
+# So many triangles are enough from so many px in one on.
+_COARSER_FACES = {2: 6_000, 4: 2_500}
 
 
 @dataclass(frozen=True, eq=False)
 class Thickness:
-    """What combinations are registered with: the X-rays by scale; by model, closed meshes and their threads' leads."""
+    """What combinations are registered with: the X-rays by scale; by model, closed meshes, the coarser ones by scale,
+    and their threads' leads."""
 
     targets: Targets
     stages: list[tuple[int, Stage]]
     meshes: dict[str, Mesh]
+    coarser: dict[str, dict[int, Mesh]]
     leads_mm: dict[str, float]
 
 
@@ -78,8 +82,9 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
     of_views = in_threads(partial(_targets_of, [scale for scale, _ in stages]), list(case.views.values()))
     targets = {scale: [of_view[index] for of_view in of_views] for index, (scale, _) in enumerate(stages)}
     meshes = {name: _fit_mesh(implant.mesh, mm_per_px) for name, implant in case.implants.items()}
+    coarser = {name: _coarser(mesh, stages[-1][0]) for name, mesh in meshes.items()}
     leads_mm = {name: thread_lead_mm(case.implants[name], mesh) for name, mesh in meshes.items()}
-    return Thickness(targets, stages, meshes, leads_mm)
+    return Thickness(targets, stages, meshes, coarser, leads_mm)
 
 
 def _targets_of(scales: Sequence[int], view: View) -> list[GradientTarget]:
@@ -93,6 +98,14 @@ def _fit_mesh(mesh: Mesh, mm_per_px: float) -> Mesh:
     return closed(mesh)
 
 
+def _coarser(mesh: Mesh, finest: int) -> dict[int, Mesh]:
+    return {
+        finest * factor: closed(reduced_to(mesh, faces))
+        for factor, faces in _COARSER_FACES.items()
+        if len(mesh.faces) > faces
+    }
+
+
 def refine_by_thickness(
     case: Case,
     thickness: Thickness,
@@ -103,11 +116,42 @@ def refine_by_thickness(
 ) -> tuple[SearchResult, Quality]:
     """Register the screws of a combination together, from where they were placed."""
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
-    # Marks that are less sure hold less.
-    looser = noise.sigma_px / LandmarkNoise().sigma_px
-    stages = [(scale, replace(stage, mark_sigma_px=stage.mark_sigma_px * looser)) for scale, stage in thickness.stages]
+    fit = fit_by_thickness(bodies, poses, thickness.targets, _stages(thickness, noise), progress)
+    return _judged(case, thickness, bodies, fit, noise)
+
+
+def settle_by_thickness(
+    case: Case,
+    thickness: Thickness,
+    combination: Combination,
+    found: SearchResult,
+    noise: LandmarkNoise,
+    progress: Progress | None = None,
+) -> tuple[SearchResult, Quality]:
+    """Try other turns of the screws of a registered combination: for the one that was chosen, since it takes long."""
+    bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     leads_mm = [thickness.leads_mm[hypothesis.model] for hypothesis in combination.hypotheses]
-    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress, leads_mm)
+    scale, stage = _stages(thickness, noise)[-1]
+    system = linearised(thickness.targets[scale], bodies, found.world_from_cad, stage.mark_sigma_px)
+    fit = ScaleFit(found.world_from_cad, system, 0, 0.0)
+    return _judged(
+        case,
+        thickness,
+        bodies,
+        settled(bodies, fit, thickness.targets, _stages(thickness, noise), leads_mm, progress),
+        noise,
+    )
+
+
+def _stages(thickness: Thickness, noise: LandmarkNoise) -> list[tuple[int, Stage]]:
+    """Marks that are less sure hold less."""
+    looser = noise.sigma_px / LandmarkNoise().sigma_px
+    return [(scale, replace(stage, mark_sigma_px=stage.mark_sigma_px * looser)) for scale, stage in thickness.stages]
+
+
+def _judged(
+    case: Case, thickness: Thickness, bodies: Sequence[Body], fit: ScaleFit, noise: LandmarkNoise
+) -> tuple[SearchResult, Quality]:
     chi_square, marks = 0.0, 0
     for body, pose in zip(bodies, fit.world_from_cad, strict=True):
         assert body.marks is not None
@@ -118,7 +162,8 @@ def refine_by_thickness(
     shares = energies_of_each(finest, bodies, fit.world_from_cad)
     energies = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
     found = SearchResult(fit.world_from_cad, -float(np.mean(fit.linearised.energies)), 0, (False,) * len(bodies))
-    return found, Quality(energies, chi_square, marks, _undecided(bodies, fit.rivals))
+    rivals = _undecided(bodies, fit.rivals) if isinstance(fit, RecipeFit) else ()
+    return found, Quality(energies, chi_square, marks, rivals)
 
 
 def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, ...]:
@@ -141,7 +186,7 @@ def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:
     marks = [by_label[key] for key in hypothesis.labels]
     cameras = [case.views[view].camera for view, _ in hypothesis.labels]
     marked = MarkedScrew(cameras, _stacked([m.tip_px for m in marks]), _stacked([m.center_px for m in marks]))
-    return Body(implant, thickness.meshes[hypothesis.model], marked)
+    return Body(implant, thickness.meshes[hypothesis.model], marked, thickness.coarser[hypothesis.model])
 
 
 def _stacked(points: Sequence[FloatArray]) -> FloatArray:

@@ -8,9 +8,11 @@ the shift, the thread is out of phase and nothing looks better. What is tried is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from screwpose._threads import in_threads
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.implants.model import Implant, Mesh
@@ -31,6 +33,7 @@ _ITERATIONS = 3
 # all that was tried by 1.2 and more, half of them by 3.7.
 DECIDED_SIGMAS = 1.0
 SAME_TURN_DEG, SAME_SHIFT_MM = 10.0, 0.3  # nearer poses are one, not yet at rest
+_REST_DEG, _REST_MM = 3.0, 0.1  # what a coarser image may differ by
 _BESIDE_PX = 8.0
 _SECTION_MM = 0.3
 _SHANK = (0.2, 1.7)  # of the way from the tip to the centre: behind the nose, and before the head
@@ -138,8 +141,7 @@ def _tried(
     best = [poses[number] for number in chosen]
     best = fitted(best, _nearby(views, near, best, own, lead_mm))
     lost: list[tuple[list[FloatArray], float]] = []
-    for trial in other_ways(views, near, best, own, lead_mm):
-        other = fitted(best, trial)
+    for other in in_threads(partial(fitted, best), other_ways(views, near, best, own, lead_mm)):
         by = preference(views, near, other, best)
         if by > DECIDED_SIGMAS:  # what lost to the one that was before is still to be compared with this one
             lost = [(loser, preference(views, near, other, loser)) for loser, _ in lost] + [(best, by)]
@@ -160,6 +162,12 @@ def _apart(implant: Implant, world_from_cad: FloatArray, other: FloatArray) -> t
     turn = rigid.log_rotation(level @ world_from_cad[:3, :3].T) @ axis
     shift = rigid.transform(other, implant.center_mm) - rigid.transform(world_from_cad, implant.center_mm)
     return float(np.degrees(turn)), float(shift @ axis)
+
+
+def is_at_rest(body: Body, world_from_cad: FloatArray, other: FloatArray) -> bool:
+    """Whether two poses, fitted at different resolutions, are the same one."""
+    turn_deg, shift_mm = _apart(body.implant, world_from_cad, other)
+    return abs(turn_deg) < _REST_DEG and abs(shift_mm) < _REST_MM
 
 
 def _nearby(

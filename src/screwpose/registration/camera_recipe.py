@@ -15,7 +15,7 @@ from screwpose.registration.camera_fit import (
     corrected_target,
     fit_cameras_at_scale,
 )
-from screwpose.registration.recipe import Stage, Targets, fit_by_thickness
+from screwpose.registration.recipe import Stage, Targets, fit_by_thickness, settled
 from screwpose.registration.search import Progress
 from screwpose.registration.thickness_fit import Body
 
@@ -96,7 +96,9 @@ def _posed(
         for body in bodies
     ]
     alone = replace(stage, doubtful_below=0.0)  # what explains little may be for want of a camera
-    return fit_by_thickness(seen, state.world_from_cad, {scale: held}, [(scale, alone)]).world_from_cad
+    stages = [(scale, alone)]
+    fit = fit_by_thickness(seen, state.world_from_cad, {scale: held}, stages)
+    return settled(seen, fit, {scale: held}, stages).world_from_cad
 
 
 def with_exact_cameras(views: Sequence[CalibratedView]) -> list[CalibratedView]:

@@ -51,7 +51,7 @@ def _differences(
     near = np.zeros(shape, dtype=np.bool_)
     residuals = []
     spread = np.inf
-    together = packed(bodies)
+    together = packed(bodies, view.scale)
     for scene in (poses, others):
         assessment = assess(view, together, scene)
         rows, columns, left_over = assessment.compared()

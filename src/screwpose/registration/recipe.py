@@ -9,7 +9,7 @@ import numpy as np
 
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
-from screwpose.registration.alternatives import Rival, better_ways, thread_lead_mm
+from screwpose.registration.alternatives import Rival, better_ways, is_at_rest, thread_lead_mm
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
 from screwpose.registration.search import Progress
@@ -33,7 +33,7 @@ class Stage:
     tilts_deg : the axis is tilted by each of these about both axes across, before the iterations.
     rolls_deg : and the screw turned about it by each of these.
     doubtful_below : screws that explain less of the energy near them in some view begin once more after this stage.
-    other_ways : whether other turns along each screw's thread are tried after the iterations.
+    other_ways : `settled` tries other turns along each screw's thread at this resolution.
     """
 
     pixel_mm: float
@@ -80,7 +80,7 @@ def scaled_stages(mm_per_px: float, stages: Sequence[Stage] = STAGES) -> list[tu
 
 @dataclass(frozen=True, eq=False)
 class RecipeFit(ScaleFit):
-    """Where all the stages ended, and what other poses of each screw were tried on the way."""
+    """Where the screws came to rest, and what other poses of each were tried."""
 
     rivals: tuple[Rival, ...] = ()
 
@@ -91,25 +91,21 @@ def fit_by_thickness(
     targets: Targets,
     stages: Sequence[tuple[int, Stage]],
     progress: Progress | None = None,
-    leads_mm: Sequence[float] | None = None,
-) -> RecipeFit:
+) -> ScaleFit:
     """Register all screws together on the thickness model.
 
     A grid of directions and rolls before the first iterations repairs starts that would lock onto a wrong edge, a pale
     tower in bright air beside a dark one; a screw that explains little all the same begins once more without it. Rolls
-    before the finer scales find the half-turn, and other turns along the thread are fitted before they are judged.
+    before the finer scales find the half-turn.
 
     Parameters
     ----------
     start_world_from_cad : (4, 4) each, good to a few mm and degrees; the roll may be anything.
     stages : with their scales, as `scaled_stages` has them.
     progress : told after every stage; what it raises stops the work.
-    leads_mm : of each body's thread; None: as `thread_lead_mm` finds them.
     """
     start = [np.asarray(pose, dtype=np.float64) for pose in start_world_from_cad]
-    if leads_mm is None:
-        leads_mm = [thread_lead_mm(body.implant, body.mesh) for body in bodies]
-    poses, rivals = start, list[Rival]()
+    poses = start
     fit: ScaleFit | None = None
     for index, (scale, stage) in enumerate(stages):
         views = targets[scale]
@@ -119,10 +115,48 @@ def fit_by_thickness(
         poses = list(fit.world_from_cad)
         if stage.doubtful_below > 0.0:
             poses = _begun_again(bodies, start, poses, targets, stages[: index + 1])
-        if stage.other_ways:
-            poses, rivals = better_ways(views, bodies, poses, leads_mm, stage.mark_sigma_px, stage.enough_mm)
     assert fit is not None, "at least one stage"
-    return RecipeFit(tuple(poses), fit.linearised, fit.iterations, fit.last_step_mm, tuple(rivals))
+    return fit
+
+
+def settled(
+    bodies: Sequence[Body],
+    fit: ScaleFit,
+    targets: Targets,
+    stages: Sequence[tuple[int, Stage]],
+    leads_mm: Sequence[float] | None = None,
+    progress: Progress | None = None,
+) -> RecipeFit:
+    """Try other turns along each screw's thread, fitted before they are judged, and go on from what is preferred.
+
+    Parameters
+    ----------
+    fit : of all the stages.
+    leads_mm : of each body's thread; None: as `thread_lead_mm` finds them.
+    progress : told before; what it raises stops the work.
+    """
+    unchanged = RecipeFit(fit.world_from_cad, fit.linearised, fit.iterations, fit.last_step_mm)
+    places = [index for index, (_, stage) in enumerate(stages) if stage.other_ways]
+    if not places:
+        return unchanged
+    if leads_mm is None:
+        leads_mm = [thread_lead_mm(body.implant, body.mesh) for body in bodies]
+    if progress is not None:
+        progress(0.0, "trying other turns")
+    scale, stage = stages[places[-1]]
+    poses, rivals = better_ways(
+        targets[scale], bodies, fit.world_from_cad, leads_mm, stage.mark_sigma_px, stage.enough_mm
+    )
+    unchanged = replace(unchanged, rivals=tuple(rivals))
+    if all(is_at_rest(*two) for two in zip(bodies, fit.world_from_cad, poses, strict=True)):
+        return unchanged
+    again = fit
+    for scale, stage in stages[places[-1] :]:
+        again = fit_at_scale(targets[scale], bodies, poses, stage.mark_sigma_px, stage.iterations, stage.enough_mm)
+        poses = list(again.world_from_cad)
+    if preference(targets[scale], bodies, again.world_from_cad, fit.world_from_cad) <= 0.0:
+        return unchanged
+    return RecipeFit(again.world_from_cad, again.linearised, again.iterations, again.last_step_mm, tuple(rivals))
 
 
 def _through(

@@ -5,8 +5,8 @@ prior. A step is a rotation about each screw's centre and a shift, held down by 
 shrinks with the scale.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,11 +26,24 @@ _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One screw: its landmarks, the closed mesh that is rendered, its marks (None: no prior) and where it begins."""
+    """One screw.
+
+    Parameters
+    ----------
+    mesh : closed; it is drawn.
+    marks : None where there is no prior.
+    coarser : by scale, closed meshes of fewer triangles that are drawn at this scale and the coarser ones.
+    """
 
     implant: Implant
     mesh: Mesh
     marks: MarkedScrew | None
+    coarser: Mapping[int, Mesh] = field(default_factory=dict)
+
+    def mesh_at(self, scale: int) -> Mesh:
+        """What is drawn where so many px of the X-ray make one."""
+        fitting = [least for least in self.coarser if least <= scale]
+        return self.coarser[max(fitting)] if fitting else self.mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +62,16 @@ class Linearised:
     energies: tuple[float, ...]
 
 
-def packed(bodies: Sequence[Body]) -> Bodies:
-    """The bodies as they are drawn together."""
-    return Bodies([body.mesh for body in bodies], np.stack([body.implant.center_mm for body in bodies]))
+def packed(bodies: Sequence[Body], scale: int) -> Bodies:
+    """The bodies as they are drawn together at a scale."""
+    return Bodies([body.mesh_at(scale) for body in bodies], np.stack([body.implant.center_mm for body in bodies]))
 
 
 def energies_of_each(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
 ) -> FloatArray:
     """The explained share of the gradient energy near each body, (B, V): all bodies explain, one is looked at."""
-    together = packed(bodies)
+    together = packed(bodies, targets[0].scale)
     views = in_threads(lambda target: assess(target, together, poses, with_shares=True), targets)
     return np.stack([view.shares for view in views], axis=1)
 
@@ -71,7 +84,7 @@ def energies_of_candidates(
     candidates: Sequence[FloatArray],
 ) -> list[float]:
     """The explained energy, mean of the views, with one body at each of several poses and the others as they stand."""
-    together = packed(bodies)
+    together = packed(bodies, targets[0].scale)
     scenes = [[*poses[:index], candidate, *poses[index + 1 :]] for candidate in candidates]
 
     def energy(scene: Sequence[FloatArray]) -> float:
@@ -84,7 +97,7 @@ def linearised_views(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
 ) -> list[Linearised]:
     """The normal equations of each view by itself, without the marks."""
-    together = packed(bodies)
+    together = packed(bodies, targets[0].scale)
     views = in_threads(lambda target: assess(target, together, poses, with_normal_equations=True), targets)
     return [
         Linearised(view.information / _CORRELATED_PX, view.gradient / _CORRELATED_PX, (view.energy,)) for view in views
