@@ -16,7 +16,7 @@ from screwpose._types import BoolArray, FloatArray, ImageArray
 from screwpose.geometry import Camera, rigid
 from screwpose.implants.model import Mesh
 from screwpose.registration.alternatives import Rival, thread_lead_mm
-from screwpose.registration.recipe import STAGES, RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages
+from screwpose.registration.recipe import STAGES, RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
 from screwpose.registration.search import Progress, SearchOptions, register
 from screwpose.registration.thickness_fit import Body, energies_of_each, fit_at_scale
 from screwpose.similarity.engine import SceneEngine
@@ -234,7 +234,8 @@ def _finished(
     ]
     scale, last = stages[-1]
     stages[-1] = (scale, replace(last, iterations=iterations, enough_mm=enough_mm))
-    return fit_by_thickness(bodies, poses, xrays.targets, stages, progress, leads_mm)
+    fit = fit_by_thickness(bodies, poses, xrays.targets, stages, progress)
+    return settled(bodies, fit, xrays.targets, stages, leads_mm)
 
 
 def _energy(fit: RecipeFit) -> float:
