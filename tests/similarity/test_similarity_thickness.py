@@ -31,6 +31,22 @@ def test_derivatives_of_a_plane_and_of_a_blurred_step() -> None:
     assert step.along_u[60].sum() == pytest.approx(1.0, abs=1e-3)  # cut off at four sigma
 
 
+def test_an_even_slope_is_taken_off_and_an_edge_is_not() -> None:
+    # Along the derivative's own direction: a slope that is even over 9 px is nothing, a sharp step hardly changes.
+    plane = (0.02 * U - 0.03 * V).astype(np.float32)
+    inner = (slice(10, -10), slice(10, -10))
+    flat = make_gradient_target(plane, EVERYWHERE, CAMERA, 1, 0.7, mean_px=9)
+    assert np.abs(flat.along_u[inner]).max() < 1e-6
+    assert np.abs(flat.along_v[inner]).max() < 1e-6
+    step = make_gradient_target((U >= 80).astype(np.float32), EVERYWHERE, CAMERA, 1, 0.7, mean_px=9)
+    plain = make_gradient_target((U >= 80).astype(np.float32), EVERYWHERE, CAMERA, 1, 0.7)
+    # A step of height 1 has a mean derivative of 1 / 9 over 9 px around it.
+    np.testing.assert_allclose(step.along_u[60, 78:82], plain.along_u[60, 78:82] - 1.0 / 9.0, atol=1e-3)
+    np.testing.assert_allclose(flat.differentiated(plane)[0], flat.along_u, atol=1e-7)
+    # What counts stays clear of the border by as much further as the mean reaches.
+    assert step.counts.sum() < plain.counts.sum()
+
+
 def test_a_reduced_image_has_its_camera_reduced_with_it() -> None:
     target = make_gradient_target(np.zeros(SHAPE, np.float32), EVERYWHERE, CAMERA, 4)
     assert target.shape == (30, 40)

@@ -115,7 +115,7 @@ def _check_depth(nearest_mm: float) -> None:
 def _view(target: GradientTarget) -> "kernels.View":
     from screwpose.similarity import kernels
 
-    smooth, slope = taps(target.blur_px)
+    smooth, slope = taps(target.blur_px, target.mean_px)
     middle = len(smooth) // 2
     rows, columns = target.shape
     return kernels.View(

@@ -45,6 +45,7 @@ class GradientTarget:
     counts : (rows, columns), the pixels whose derivatives see nothing beyond the region.
     scale : how many px of the X-ray make one.
     blur_px : of the smoothing, at this scale.
+    mean_px : see `taps`.
     """
 
     intrinsics: FloatArray
@@ -54,6 +55,7 @@ class GradientTarget:
     counts: BoolArray
     scale: int
     blur_px: float
+    mean_px: int = 0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -62,11 +64,16 @@ class GradientTarget:
 
     def differentiated(self, image: ImageArray) -> tuple[GradientArray, GradientArray]:
         """The same derivatives of another image, or of a part of one."""
-        return _differentiated(image, self.blur_px)
+        return _differentiated(image, self.blur_px, self.mean_px)
 
 
 def make_gradient_target(
-    log_pixels: ImageArray, region: BoolArray, camera: Camera, scale: int, blur_px: float = 1.3
+    log_pixels: ImageArray,
+    region: BoolArray,
+    camera: Camera,
+    scale: int,
+    blur_px: float = 1.3,
+    mean_px: int = 0,
 ) -> GradientTarget:
     """Prepare an X-ray.
 
@@ -76,6 +83,7 @@ def make_gradient_target(
     region : (rows, columns), M_bg: the pixels that count.
     scale : how many px along each side become one.
     blur_px : sigma of the smoothing before differences are taken, at the reduced scale.
+    mean_px : see `taps`.
     """
     import cv2
 
@@ -93,35 +101,52 @@ def make_gradient_target(
         dtype=np.float32,
     )
     inside = cv2.resize(np.ascontiguousarray(region[used], dtype=np.float32), size, interpolation=cv2.INTER_AREA)
-    reach = 2 * _reach_px(blur_px) + 1
+    reach = 2 * _reach_px(blur_px, mean_px) + 1
     counts = cv2.erode((inside > 0.999).astype(np.uint8), np.ones((reach, reach), np.uint8), borderValue=0)
     # Integer pixels are centres, so borders, not centres, coincide.
     reduced_from_full = np.array(
         [[1 / scale, 0.0, 0.5 / scale - 0.5], [0.0, 1 / scale, 0.5 / scale - 0.5], [0.0, 0.0, 1.0]]
     )
     reduced = Camera(reduced_from_full @ projection)
-    along_u, along_v = _differentiated(image, blur_px)
+    along_u, along_v = _differentiated(image, blur_px, mean_px)
     return GradientTarget(
-        reduced.intrinsics, reduced.camera_from_world, along_u, along_v, counts.astype(np.bool_), scale, blur_px
+        reduced.intrinsics,
+        reduced.camera_from_world,
+        along_u,
+        along_v,
+        counts.astype(np.bool_),
+        scale,
+        blur_px,
+        mean_px,
     )
 
 
-def _reach_px(blur_px: float) -> int:
-    return int(np.ceil(4.0 * blur_px))
+def _reach_px(blur_px: float, mean_px: int = 0) -> int:
+    return int(np.ceil(4.0 * blur_px)) + mean_px // 2
 
 
-def taps(blur_px: float) -> tuple[GradientArray, GradientArray]:
-    """The taps (2 reach + 1,) of a Gaussian and of its derivative, as a correlation takes them."""
-    x = np.arange(-_reach_px(blur_px), _reach_px(blur_px) + 1, dtype=np.float64)
+def taps(blur_px: float, mean_px: int = 0) -> tuple[GradientArray, GradientArray]:
+    """The taps (2 reach + 1,) of a Gaussian and of its derivative, as a correlation takes them.
+
+    Parameters
+    ----------
+    mean_px : odd; the derivative's mean over so many px, along its own direction, is taken off: what anatomy and the
+        display add under the metal is an even slope over that far, metal's edges are not. 0 takes nothing off.
+    """
+    reach = _reach_px(blur_px, mean_px)
+    x = np.arange(-reach, reach + 1, dtype=np.float64)
     smooth = np.exp(-0.5 * (x / blur_px) ** 2)
     smooth /= smooth.sum()
-    return smooth.astype(np.float32), (x / blur_px**2 * smooth).astype(np.float32)
+    slope = x / blur_px**2 * smooth
+    if mean_px:
+        slope -= np.convolve(slope, np.full(mean_px, 1.0 / mean_px), mode="same")
+    return smooth.astype(np.float32), slope.astype(np.float32)
 
 
-def _differentiated(image: ImageArray, blur_px: float) -> tuple[GradientArray, GradientArray]:
+def _differentiated(image: ImageArray, blur_px: float, mean_px: int) -> tuple[GradientArray, GradientArray]:
     import cv2
 
-    smooth, slope = taps(blur_px)
+    smooth, slope = taps(blur_px, mean_px)
     image = np.ascontiguousarray(image, dtype=np.float32)
     return (
         np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, slope, smooth, borderType=cv2.BORDER_REPLICATE)),
@@ -188,7 +213,7 @@ def near_metal(target: GradientTarget, lengths_mm: FloatArray | ImageArray) -> B
     """The pixels whose derivatives metal reaches, (rows, columns)."""
     import cv2
 
-    reach = 2 * _reach_px(target.blur_px) + 1
+    reach = 2 * _reach_px(target.blur_px, target.mean_px) + 1
     is_metal = (lengths_mm > LEAST_MM).view(np.uint8)
     return np.asarray(cv2.dilate(is_metal, np.ones((reach, reach), np.uint8)).view(np.bool_))
 
