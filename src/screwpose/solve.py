@@ -14,6 +14,7 @@ from screwpose.files.case import Case
 from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
 from screwpose.pairing.answer import Trial, answered, refused
+from screwpose.pairing.cameras import CameraMode, with_sigmas
 from screwpose.pairing.confidence import judge, judged_again, probabilities
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
@@ -50,6 +51,8 @@ class SolveOptions:
     refinement : how screws are registered; None: as in the paper for `paper` and `epipolar`, else by thickness.
     search : bounds, budget and seed of the evolution. No generations: whatever the refinement, nothing is registered.
     engine : how masks are drawn; None: as in the paper for `paper`, else the fast one.
+    cameras : whether cameras are refined with the poses, in the registration by thickness: never, as the case's views
+        say, or also where they say nothing.
     """
 
     method: Method = "default"
@@ -60,6 +63,7 @@ class SolveOptions:
     search: SearchOptions = field(default_factory=SearchOptions)
     engine: Engine | None = None
     refinement: Refinement | None = None
+    cameras: CameraMode = "given"
 
 
 def solve(case: Case, options: SolveOptions | None = None, progress: Progress | None = None) -> Result:
@@ -89,6 +93,7 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     clock = _Clock()
 
     tell(0.0, "checking the landmarks")
+    case = with_sigmas(case, options.cameras, options.noise)
     findings = check_plausibility(case, options.noise)
     table = HypothesisTable(case, options.noise, _FITS[options.method])
     ranked = combinations(case, options.noise, options.combinations, table)
@@ -194,7 +199,8 @@ def _registered_by_thickness(
         found, quality = refine_by_thickness(
             case, thickness, trial.combination, trial.placed, options.noise, together.progress_of(index)
         )
-        post = score(evidence, trial.combination, found.world_from_cad)
+        seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
+        post = score(seen, trial.combination, found.world_from_cad)
         return replace(trial, found=found, post=post, quality=quality)
 
     done = in_threads(registered, range(len(promising)), together.give_up)
@@ -204,6 +210,9 @@ def _registered_by_thickness(
     judged = [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
     chosen = min(judged, key=_ORDERS[options.method])
     assert chosen.found is not None
+    assert chosen.quality is not None
+    if chosen.quality.cameras is not None:  # settled before its cameras were freed
+        return judged
     found, quality = settle_by_thickness(
         case, thickness, chosen.combination, chosen.found, options.noise, _within(tell, 0.7, 1.0)
     )

@@ -23,6 +23,7 @@ OPTIONS = SolveOptions(
     registered=1,
     engine="bitrows",
     refinement="evolution",
+    cameras="off",
     search=SearchOptions(
         max_shift_mm=1.5, max_tilt_deg=4.5, max_roll_deg=90.0, generations=7, population=2, tolerance=0.02, seed=11
     ),

@@ -13,6 +13,7 @@ from screwpose.errors import InputError
 from screwpose.files.schema import Software
 from screwpose.files.values import Count, FileModel, Name, NotNegative
 from screwpose.files.wording import read_model
+from screwpose.pairing.cameras import CameraMode
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import SearchOptions
 from screwpose.solve import Engine, Refinement, SolveOptions
@@ -38,6 +39,7 @@ class AskedOptions(FileModel):
     tolerance: NotNegative = 1e-3
     engine: Engine | None = None
     refinement: Refinement | None = None
+    cameras: CameraMode = "given"
 
     @classmethod
     def of(cls, options: SolveOptions) -> "AskedOptions":
@@ -54,6 +56,7 @@ class AskedOptions(FileModel):
             registered=self.registered,
             engine=self.engine,
             refinement=self.refinement,
+            cameras=self.cameras,
             search=SearchOptions(
                 max_shift_mm=self.max_shift_mm,
                 max_tilt_deg=self.max_tilt_deg,

@@ -11,6 +11,8 @@ import typer
 
 from screwpose.cli.options import (
     AsJson,
+    CamerasName,
+    CamerasOption,
     EngineName,
     EngineOption,
     Faces,
@@ -73,6 +75,7 @@ def bench(
     ] = None,
     engine: EngineOption = EngineName.auto,
     refinement: RefinementOption = RefinementName.auto,
+    cameras: CamerasOption = CamerasName.given,
     faces: Faces = 1000,
     generations: Generations = 60,
     population: Population = 5,
@@ -105,6 +108,7 @@ def bench(
     solver = {
         "engine": chosen(engine),
         "refinement": chosen(refinement),
+        "cameras": cameras.value,
         "faces": faces,
         "generations": generations,
         "population": population,

@@ -10,6 +10,8 @@ from screwpose import __version__
 from screwpose.cli.bench import bench
 from screwpose.cli.options import (
     AsJson,
+    CamerasName,
+    CamerasOption,
     EngineName,
     EngineOption,
     Faces,
@@ -60,6 +62,7 @@ def demo(
     method: MethodOption = MethodName.default,
     engine: EngineOption = EngineName.auto,
     refinement: RefinementOption = RefinementName.auto,
+    cameras: CamerasOption = CamerasName.given,
     faces: Faces = 1000,
     generations: Generations = 60,
     population: Population = 5,
@@ -75,7 +78,9 @@ def demo(
     from screwpose.cli.words import told_demo
 
     bounds = (max_shift, max_tilt, max_roll)
-    options = solver_options(method, faces, generations, population, seed, landmark_sigma, bounds, engine, refinement)
+    options = solver_options(
+        method, faces, generations, population, seed, landmark_sigma, bounds, engine, refinement, cameras
+    )
     with shown_progress(quiet or as_json) as progress:
         result, comparison = run_demo(out, seed, size, options, progress)
     if as_json:
@@ -93,6 +98,7 @@ def solve(
     method: MethodOption = MethodName.default,
     engine: EngineOption = EngineName.auto,
     refinement: RefinementOption = RefinementName.auto,
+    cameras: CamerasOption = CamerasName.given,
     faces: Faces = 1000,
     generations: Generations = 60,
     population: Population = 5,
@@ -109,7 +115,9 @@ def solve(
     from screwpose.cli.words import told_result
 
     bounds = (max_shift, max_tilt, max_roll)
-    options = solver_options(method, faces, generations, population, seed, landmark_sigma, bounds, engine, refinement)
+    options = solver_options(
+        method, faces, generations, population, seed, landmark_sigma, bounds, engine, refinement, cameras
+    )
     with shown_progress(quiet or as_json) as progress:
         result, _ = solve_files(case, out, options, progress)
     if as_json:

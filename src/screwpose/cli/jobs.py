@@ -72,13 +72,15 @@ def run_demo(
 
 def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Finding, ...]:
     """Everything that can be known to be wrong with a case: its files, then whether they agree with each other."""
+    from screwpose.pairing.cameras import with_sigmas
     from screwpose.pairing.plausibility import check_plausibility
     from screwpose.pairing.segment import LandmarkNoise
 
     case, findings = inspect_case(case_path)
     if case is None or errors_in(findings):
         return findings
-    return findings + check_plausibility(case, LandmarkNoise(sigma_px=landmark_sigma_px))
+    noise = LandmarkNoise(sigma_px=landmark_sigma_px)
+    return findings + check_plausibility(with_sigmas(case, "given", noise), noise)
 
 
 def _saying_that_it_compiles(progress: Progress) -> Progress:

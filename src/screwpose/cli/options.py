@@ -35,6 +35,14 @@ class RefinementName(StrEnum):
     thickness = "thickness"
 
 
+class CamerasName(StrEnum):
+    """Whether cameras are refined with the poses."""
+
+    off = "off"
+    given = "given"
+    auto = "auto"
+
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object, for machines.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print nothing but errors.")]
 MethodOption = Annotated[
@@ -54,6 +62,13 @@ RefinementOption = Annotated[
     typer.Option(
         "--refinement",
         help="How screws are registered: by the paper's evolution, or by thickness; auto: by --method.",
+    ),
+]
+CamerasOption = Annotated[
+    CamerasName,
+    typer.Option(
+        "--cameras",
+        help="Refine the cameras with the poses: never, as the case's sigmas say, or also where it has none.",
     ),
 ]
 Faces = Annotated[int, typer.Option(min=0, help="Triangles a model is reduced to in searches; 0: the CAD as it is.")]
@@ -102,6 +117,7 @@ def solver_options(
     bounds: tuple[float, float, float],
     engine: EngineName = EngineName.auto,
     refinement: RefinementName = RefinementName.auto,
+    cameras: CamerasName = CamerasName.given,
 ) -> Any:
     """`SolveOptions` from what the command line says; `bounds` are shift, tilt and roll."""
     from screwpose.pairing.segment import LandmarkNoise
@@ -114,6 +130,7 @@ def solver_options(
         noise=LandmarkNoise(sigma_px=landmark_sigma),
         engine=chosen(engine),
         refinement=chosen(refinement),
+        cameras=cameras.value,
     )
     shift, tilt, roll = bounds
     search = replace(

@@ -1,7 +1,7 @@
 """From scored combinations to the answer: statuses, warnings, and the result file's keys."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from screwpose import __version__
 from screwpose.files.case import Case
 from screwpose.files.result import CombinationScene, PosedImplant, Result
 from screwpose.files.schema import (
+    CameraResultFile,
     ChosenBy,
     CombinationFile,
     PairingFile,
@@ -19,10 +20,12 @@ from screwpose.files.schema import (
     Software,
     StageScores,
     ViewScores,
+    as_matrix3x4,
     as_point3,
     as_pose,
 )
 from screwpose.geometry import rigid
+from screwpose.pairing.cameras import CamerasFit, in_cameras
 from screwpose.pairing.confidence import Confidence
 from screwpose.pairing.evidence import Evidence, Poses, score_each
 from screwpose.pairing.hypotheses import Combination
@@ -98,6 +101,9 @@ def answered(
 ) -> Result:
     """The result whose first trial is the method's choice."""
     numbered = tuple(enumerate(trials, start=1))
+    refined = None if trials[0].quality is None else trials[0].quality.cameras
+    if refined is not None:  # the poses are in these cameras
+        case, evidence = in_cameras(case, refined.cameras), replace(evidence, cameras=refined.cameras)
     screws, doubts = _screws(case, evidence, trials[0], noise)
     status = "ambiguous" if confidence.status == "confident" and doubts else confidence.status
     unpaired = trials[0].combination.unpaired
@@ -132,6 +138,7 @@ def answered(
             for number, trial in numbered
         ),
         screws=screws,
+        cameras=None if refined is None or not refined.corrections else _cameras(refined),
         warnings=(*case.warnings, *warnings, *confidence.reasons, *doubts, *alone, *_about_the_poses(trials[0])),
         timing_s=timing_s,
     )
@@ -149,8 +156,23 @@ def answered(
 def _about_the_poses(trial: Trial) -> list[str]:
     """What a reader must know of all poses."""
     if trial.quality is not None:
-        return []
+        return [] if trial.quality.cameras is None else list(trial.quality.cameras.words)
     return [_PLACED_ONLY if trial.found is None else _SILHOUETTE_BIAS]
+
+
+def _cameras(refined: CamerasFit) -> dict[str, CameraResultFile]:
+    """The refined cameras, and what was done to the reported ones."""
+    cameras = refined.cameras
+    return {
+        name: CameraResultFile(
+            projection=as_matrix3x4(cameras[name].projection),
+            rotation_deg=float(np.degrees(np.linalg.norm(correction.parameters[:3]))),
+            translation_mm=float(np.linalg.norm(correction.shift_mm)),
+            focal_percent=100.0 * float(np.expm1(correction.log_focal)),
+            principal_point_px=(float(correction.principal_point_px[0]), float(correction.principal_point_px[1])),
+        )
+        for name, correction in refined.corrections.items()
+    }
 
 
 def _screws(

@@ -10,6 +10,7 @@ from screwpose.errors import GeometryError
 from screwpose.files.case import Annotation, Case
 from screwpose.geometry import Camera
 from screwpose.pairing.assignment import cheapest_assignments
+from screwpose.pairing.loose import loosened
 from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
 
 # A pair so far from its landmarks (15 px in one of them at 2 px of noise) is no pair: two marks of different screws.
@@ -102,6 +103,8 @@ class HypothesisTable:
 
     def _fit(self, labels: Labels) -> Hypothesis | None:
         cameras = [self._case.views[view].camera for view, _ in labels]
+        given = [self._case.views[view].sigma for view, _ in labels]
+        sigmas = [None if sigma == "auto" else sigma for sigma in given]  # "auto": the landmarks contradict nothing
         marks = [self._marks[key] for key in labels]
         tips, centers = np.array([mark.tip_px for mark in marks]), np.array([mark.center_px for mark in marks])
         named = {mark.model for mark in marks if mark.model is not None}
@@ -110,7 +113,10 @@ class HypothesisTable:
         fits = {}
         for name in sorted(named) or self._case.implants:
             try:
-                fits[name] = self._fit_marks(cameras, tips, centers, self._case.implants[name].length_mm, self._noise)
+                length_mm = self._case.implants[name].length_mm
+                fits[name] = self._fit_marks(cameras, tips, centers, length_mm, self._noise)
+                if self._fit_marks is fit_segment and any(sigmas):
+                    fits[name] = loosened(fits[name], cameras, sigmas, tips, centers, length_mm, self._noise)
             except GeometryError:
                 return None  # parallel rays, or they meet behind a source: for every model alike
         best, *others = sorted(fits, key=lambda name: fits[name].chi_square)

@@ -13,9 +13,10 @@ import numpy as np
 from screwpose._threads import in_threads
 from screwpose._types import FloatArray
 from screwpose.files.case import Case, View
-from screwpose.images import log_image
+from screwpose.images import log_image, root_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
+from screwpose.pairing.cameras import CamerasFit, are_free, fit_cameras
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
@@ -23,23 +24,28 @@ from screwpose.registration import Progress, SearchResult
 from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
-from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, linearised
+from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale, linearised
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 
 # Models of more triangles are reduced, as far as moves their surface by no more than this share of a pixel at the
 # screws, and not below the second number, which is twice what a screw with its tower needs for a hundredth of a mm.
 _MANY_FACES, _FEWEST_FACES = 20_000, 12_000
 _SURFACE_BOUND_PX = 0.1
+# What limits the accuracy is not noise but what the model leaves out, and that is smooth: the last iterations look at
+# sharper edges, less their mean over some 2 mm.
+_SHARP_PX, _MEAN_PX = 0.7, 9
+_SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 6, 0.002
 # So many triangles are enough from so many px in one on.
 _COARSER_FACES = {2: 6_000, 4: 2_500}
 
 
 @dataclass(frozen=True, eq=False)
 class Thickness:
-    """What combinations are registered with: the X-rays by scale; by model, closed meshes, the coarser ones by scale,
-    and their threads' leads."""
+    """What combinations are registered with: the X-rays by scale, and sharper at the finest; by model, closed meshes,
+    the coarser ones by scale, and their threads' leads."""
 
     targets: Targets
+    sharp: list[GradientTarget]
     stages: list[tuple[int, Stage]]
     meshes: dict[str, Mesh]
     coarser: dict[str, dict[int, Mesh]]
@@ -57,12 +63,14 @@ class Quality:
         has 4 numbers a view, and hardly any freedom left.
     marks : how many numbers that are.
     rivals : other poses of its screws that the images do not rule out.
+    cameras : what became of cameras that are free; the corrections count in `mark_chi_square`.
     """
 
     energies: tuple[dict[str, float], ...]
     mark_chi_square: float
     marks: int
     rivals: tuple[Rival, ...] = ()
+    cameras: CamerasFit | None = None
 
 
 def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
@@ -84,12 +92,14 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
     meshes = {name: _fit_mesh(implant.mesh, mm_per_px) for name, implant in case.implants.items()}
     coarser = {name: _coarser(mesh, stages[-1][0]) for name, mesh in meshes.items()}
     leads_mm = {name: thread_lead_mm(case.implants[name], mesh) for name, mesh in meshes.items()}
-    return Thickness(targets, stages, meshes, coarser, leads_mm)
+    return Thickness(targets, [of_view[-1] for of_view in of_views], stages, meshes, coarser, leads_mm)
 
 
 def _targets_of(scales: Sequence[int], view: View) -> list[GradientTarget]:
     log = log_image(view.radiograph.pixels)
-    return [make_gradient_target(log, view.mask, view.camera, scale) for scale in scales]
+    targets = [make_gradient_target(log, view.mask, view.camera, scale) for scale in scales]
+    root = root_image(view.radiograph.pixels)
+    return [*targets, make_gradient_target(root, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX)]
 
 
 def _fit_mesh(mesh: Mesh, mm_per_px: float) -> Mesh:
@@ -114,10 +124,22 @@ def refine_by_thickness(
     noise: LandmarkNoise,
     progress: Progress | None = None,
 ) -> tuple[SearchResult, Quality]:
-    """Register the screws of a combination together, from where they were placed."""
+    """Register the screws of a combination together, from where they were placed; and the cameras, where they may.
+
+    Where cameras are held the finest stage is left to `settle_by_thickness`.
+    """
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
-    fit = fit_by_thickness(bodies, poses, thickness.targets, _stages(thickness, noise), progress)
-    return _judged(case, thickness, bodies, fit, noise)
+    stages = _stages(thickness, noise)
+    if not are_free(case):
+        has_finer = len(stages) > 1 and not stages[-1][1].other_ways
+        coarse = stages[:-1] if has_finer else stages
+        return _judged(
+            case, thickness, bodies, fit_by_thickness(bodies, poses, thickness.targets, coarse, progress), noise
+        )
+    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress)
+    fit = settled(bodies, fit, thickness.targets, stages, _leads_mm(thickness, combination))
+    cameras = fit_cameras(case, combination, bodies, fit.world_from_cad, thickness.targets, stages, noise, progress)
+    return _judged(case, thickness, bodies, fit, noise, cameras)
 
 
 def settle_by_thickness(
@@ -128,19 +150,29 @@ def settle_by_thickness(
     noise: LandmarkNoise,
     progress: Progress | None = None,
 ) -> tuple[SearchResult, Quality]:
-    """Try other turns of the screws of a registered combination: for the one that was chosen, since it takes long."""
+    """Try other turns of a registered combination's screws, and end on the sharpest images: for the chosen one."""
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
-    leads_mm = [thickness.leads_mm[hypothesis.model] for hypothesis in combination.hypotheses]
-    scale, stage = _stages(thickness, noise)[-1]
+    stages = _stages(thickness, noise)
+    coarse = [one for one in stages if one[1].other_ways]
+    scale, stage = (coarse or stages)[-1]
     system = linearised(thickness.targets[scale], bodies, found.world_from_cad, stage.mark_sigma_px)
     fit = ScaleFit(found.world_from_cad, system, 0, 0.0)
-    return _judged(
-        case,
-        thickness,
+    at_rest = settled(bodies, fit, thickness.targets, coarse, _leads_mm(thickness, combination), progress)
+    if progress is not None:
+        progress(0.7, "fitting the sharpest images")
+    sharp = fit_at_scale(
+        thickness.sharp,
         bodies,
-        settled(bodies, fit, thickness.targets, _stages(thickness, noise), leads_mm, progress),
-        noise,
+        at_rest.world_from_cad,
+        stages[-1][1].mark_sigma_px,
+        _SHARP_ITERATIONS,
+        _SHARP_ENOUGH_MM,
     )
+    return _judged(case, thickness, bodies, replace(at_rest, world_from_cad=sharp.world_from_cad), noise)
+
+
+def _leads_mm(thickness: Thickness, combination: Combination) -> list[float]:
+    return [thickness.leads_mm[hypothesis.model] for hypothesis in combination.hypotheses]
 
 
 def _stages(thickness: Thickness, noise: LandmarkNoise) -> list[tuple[int, Stage]]:
@@ -150,20 +182,28 @@ def _stages(thickness: Thickness, noise: LandmarkNoise) -> list[tuple[int, Stage
 
 
 def _judged(
-    case: Case, thickness: Thickness, bodies: Sequence[Body], fit: ScaleFit, noise: LandmarkNoise
+    case: Case,
+    thickness: Thickness,
+    bodies: Sequence[Body],
+    fit: ScaleFit,
+    noise: LandmarkNoise,
+    cameras: CamerasFit | None = None,
 ) -> tuple[SearchResult, Quality]:
-    chi_square, marks = 0.0, 0
-    for body, pose in zip(bodies, fit.world_from_cad, strict=True):
+    finest = thickness.targets[thickness.stages[-1][0]]
+    found, energies, chi_square, marks = fit.world_from_cad, fit.linearised.energies, 0.0, 0
+    if cameras is not None:
+        found, energies, chi_square = cameras.world_from_cad, cameras.energies, cameras.chi_square
+        finest, bodies = cameras.seen(finest), [cameras.marked(body) for body in bodies]
+    for body, pose in zip(bodies, found, strict=True):
         assert body.marks is not None
         residuals, _ = mark_residuals(body.implant, pose, body.marks, noise.sigma_px)
         chi_square += float(residuals @ residuals)
         marks += len(residuals)
-    finest = thickness.targets[thickness.stages[-1][0]]
-    shares = energies_of_each(finest, bodies, fit.world_from_cad)
-    energies = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
-    found = SearchResult(fit.world_from_cad, -float(np.mean(fit.linearised.energies)), 0, (False,) * len(bodies))
+    shares = energies_of_each(finest, bodies, found)
+    of_each = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
+    result = SearchResult(found, -float(np.mean(energies)), 0, (False,) * len(bodies))
     rivals = _undecided(bodies, fit.rivals) if isinstance(fit, RecipeFit) else ()
-    return found, Quality(energies, chi_square, marks, rivals)
+    return result, Quality(of_each, chi_square, marks, rivals, cameras)
 
 
 def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, ...]:
