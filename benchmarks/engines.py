@@ -366,9 +366,9 @@ def main(arguments: list[str] | None = None) -> None:
     if given.cases and not given.quick:
         cases = whole_cases(given.set, given.seed, given.cases, max(3, plan.rounds // 3), not given.no_opencv_cases)
         blocks.append(("whole_cases", cases))
+    folder = make_folder(given.out)
     console = Console()
     found: list[Timed] = []
-    stopped = False
     try:
         with Progress(console=Console(stderr=True)) as bar:
             task = bar.add_task("engines", total=len(blocks))
@@ -376,6 +376,7 @@ def main(arguments: list[str] | None = None) -> None:
                 bar.update(task, description=name.replace("_", " "))
                 for timed in timings:
                     found += timed
+                    write_text(folder / "engines.csv", to_csv([asdict(one) for one in found]))
                     for one in timed:
                         console.print(
                             f"{one.block} {one.at:g}: {one.job}: {one.us:,.1f} us, {one.ratio:,.3g} times the first",
@@ -383,13 +384,10 @@ def main(arguments: list[str] | None = None) -> None:
                         )
                 bar.advance(task)
     except KeyboardInterrupt:
-        stopped = True
-    folder = make_folder(given.out)
-    write_text(folder / "engines.csv", to_csv([asdict(one) for one in found]))
-    write_text(folder / "engines.md", markdown(found, notes))
-    write_bytes(folder / "engines.png", plot(found))
-    if stopped:
         sys.exit(130)
+    finally:
+        write_text(folder / "engines.md", markdown(found, notes))
+        write_bytes(folder / "engines.png", plot(found))
 
 
 if __name__ == "__main__":

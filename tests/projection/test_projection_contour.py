@@ -108,11 +108,37 @@ def test_open_and_closed_bodies_in_one_scene() -> None:
     assert assert_is_the_references(CAMERA, poses, [screw, part]) > 1000
 
 
-def test_more_layers_than_a_byte_counts() -> None:
+def test_as_many_layers_as_a_byte_cannot_tell_from_none() -> None:
     plate = trimesh.creation.box((20.0, 14.0, 0.05))
-    pile = trimesh.util.concatenate([plate.copy().apply_translation([0, 0, 0.2 * k]) for k in range(300)])
+    pile = trimesh.util.concatenate([plate.copy().apply_translation([0, 0, 0.2 * k]) for k in range(256)])
     covered = assert_is_the_references(CAMERA, [pose_at(0.3, 0.2, 300.0)], [(pile.vertices, pile.faces)])
     assert covered == pytest.approx(20 * 14 * 4, rel=0.1)
+
+
+def test_a_mirrored_body_does_not_cancel_another() -> None:
+    box = trimesh.creation.box((20.0, 14.0, 9.0))
+    mirrored = pose_at(1.0, 2.0, 310.0, (0.2, 0.1, 0.3))
+    mirrored[:3, 0] *= -1.0
+    box_mesh = (box.vertices, box.faces)
+    poses = [pose_at(0.3, 0.2, 300.0, (0.2, 0.1, 0.3)), mirrored]
+    assert assert_is_the_references(CAMERA, poses, [box_mesh, box_mesh]) > 500
+
+
+def test_a_room_is_left_as_it_was_found() -> None:
+    from screwpose.projection import contour_kernels
+
+    bodies = packed_bodies([(SCREW.vertices_mm, SCREW.faces)] * 2)
+    room = contour_kernels.room_for(bodies, *SHAPE)
+    rng = np.random.default_rng(12)
+    for _ in range(6):
+        poses = np.array([pose_at(*rng.uniform([-80, -70, 300], [80, 70, 460]), rng.normal(size=3)) for _ in range(2)])
+        contour_kernels.draw_scene(CAMERA.projection, poses, bodies, SHAPE[1], room)
+        assert room.bits.any()
+        assert not room.changes.any()
+        assert not room.raised.any()
+        contour_kernels.clear(room)
+        assert not room.bits.any()
+        assert (room.ranges == [SHAPE[0], 0]).all()
 
 
 def test_an_edge_has_one_face_each_way_and_planes_face_outwards() -> None:

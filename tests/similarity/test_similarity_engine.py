@@ -66,20 +66,21 @@ def test_scores_are_the_references(region_kind: str) -> None:
     assert covered > 5000
 
 
-def test_bodies_across_and_beyond_the_border() -> None:
+@pytest.mark.parametrize("shape", [SHAPE, (150, 192)], ids=["ends within a word", "ends with a word"])
+def test_bodies_across_and_beyond_the_border(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(4)
-    region = np.ones(SHAPE, bool)
+    region = np.ones(shape, bool)
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     mesh = Mesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
     camera = Camera.from_matrix(np.array([[100.0, 0, 114, 0], [0, 100.0, 74, 0], [0, 0, 1, 0]]))
-    pixels = rng.random(SHAPE, dtype=np.float32)
-    target = make_target(pixels, region, rng.random(SHAPE) < 0.3)
+    pixels = rng.random(shape, dtype=np.float32)
+    target = make_target(pixels, region, rng.random(shape) < 0.3)
     poses = np.tile(np.eye(4), (60, 1, 1, 1))
     poses[:, 0, :3, 3] = np.column_stack([rng.uniform(-140, 140, 60), rng.uniform(-90, 90, 60), np.full(60, 100.0)])
     poses[:, 0, :2, :2] *= rng.uniform(0.5, 40, 60)[:, None, None]
     scores = SceneEngine({"AP": camera}, {"AP": target}, [mesh]).scores(poses)
     for k, pose in enumerate(poses[:, 0]):
-        mask = union_mask(camera, [Posed(mesh, pose)], SHAPE, reference.silhouette)
+        mask = union_mask(camera, [Posed(mesh, pose)], shape, reference.silhouette)
         assert scores.loss[k, 0] == pytest.approx(target.loss(mask), abs=1e-9)
         assert scores.dice[k, 0] == pytest.approx(dice(mask, target.metal), abs=1e-12)
     assert (scores.dice == 0.0).any()
