@@ -22,6 +22,7 @@ BY_NAME = {recipe.name: recipe for recipe in RECIPES}
 SIZES = {
     "paper": 5,
     "pairs": 1000,
+    "noisy": 300,
     "hard": 500,
     "multi": 300,
     "tilted": 300,
@@ -36,6 +37,7 @@ SIZES = {
 FROZEN = {
     ("paper", 2): "52c184c8bbe82ef8",
     ("pairs", 1): "be49931b81da5565",
+    ("noisy", 1): "fb5a8c23eacae9e9",
     ("hard", 1): "edf01af6572e361f",
     ("multi", 1): "056d429e14c69ff1",
     ("tilted", 1): "95c1313499359d1f",

@@ -53,6 +53,10 @@ def _pairs(rng: np.random.Generator) -> tuple[SceneOptions, Imperfections]:
     return options, _noise(rng)
 
 
+def _noisy(rng: np.random.Generator) -> tuple[SceneOptions, Imperfections]:
+    return _pairs(rng)[0], Imperfections(landmark_noise_px=4.0)
+
+
 def _hard(rng: np.random.Generator) -> tuple[SceneOptions, Imperfections]:
     options = SceneOptions(
         **_ANY_SCREW,
@@ -166,6 +170,13 @@ RECIPES = (
         _pairs,
         "two screws, 30 to 60 mm long and 4.5 to 8.5 mm thick, with and without towers, views 60 to 120 degrees apart, "
         "any overlap, marks with 0.5 to 3 px of noise",
+    ),
+    SimulatedSet(
+        "noisy",
+        1,
+        300,
+        _noisy,
+        "as `pairs`, but marks with 4 px of noise: careless clicks, or a poor detector",
     ),
     SimulatedSet(
         "hard",

@@ -34,7 +34,7 @@ _SURFACE_BOUND_PX = 0.1
 # What limits the accuracy is not noise but what the model leaves out, and that is smooth: the last iterations look at
 # sharper edges, less their mean over some 2 mm.
 _SHARP_PX, _MEAN_PX = 0.7, 9
-_SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 6, 0.002
+_BETWEEN_ITERATIONS, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 2, 6, 0.002
 # So many triangles are enough from so many px in one on.
 _COARSER_FACES = {2: 6_000, 4: 2_500}
 
@@ -160,15 +160,14 @@ def settle_by_thickness(
     at_rest = settled(bodies, fit, thickness.targets, coarse, _leads_mm(thickness, combination), progress)
     if progress is not None:
         progress(0.7, "fitting the sharpest images")
-    sharp = fit_at_scale(
-        thickness.sharp,
-        bodies,
-        at_rest.world_from_cad,
-        stages[-1][1].mark_sigma_px,
-        _SHARP_ITERATIONS,
-        _SHARP_ENOUGH_MM,
-    )
-    return _judged(case, thickness, bodies, replace(at_rest, world_from_cad=sharp.world_from_cad), noise)
+    scale, stage = stages[-1]
+    poses = at_rest.world_from_cad
+    for views, iterations, enough_mm in (
+        (thickness.targets[scale], _BETWEEN_ITERATIONS, stage.enough_mm),
+        (thickness.sharp, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM),
+    ):
+        poses = fit_at_scale(views, bodies, poses, stage.mark_sigma_px, iterations, enough_mm).world_from_cad
+    return _judged(case, thickness, bodies, replace(at_rest, world_from_cad=poses), noise)
 
 
 def _leads_mm(thickness: Thickness, combination: Combination) -> list[float]:
