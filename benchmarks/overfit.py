@@ -176,8 +176,9 @@ def page(outcomes: Sequence[Outcome], rows: Sequence[View]) -> str:
     lines += ["", "## The worst", "", "The cases in which the wrong combination gains most in one view.", ""]
     lines += ["| case | view | loss right | loss wrong | Dice right | Dice wrong |", "|---|---|---|---|---|---|"]
     single = [row for row in rows if row.view != "mean"]
-    for worst in sorted(single, key=lambda row: row.wrong_loss - row.right_loss)[:5]:
-        lines += [_row(row) for row in rows if (row.set, row.index) == (worst.set, worst.index)]
+    ranked = sorted(single, key=lambda row: row.wrong_loss - row.right_loss)
+    for case in list(dict.fromkeys((row.set, row.index) for row in ranked))[:5]:
+        lines += [_row(row) for row in rows if (row.set, row.index) == case]
     return "\n".join(lines) + "\n"
 
 
