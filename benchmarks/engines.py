@@ -324,7 +324,10 @@ def plot(found: list[Timed]) -> bytes:
                 axes.plot(at, [one.us for one in points], marker=marker, color=color, label=job)
         if of_block:
             axes.set_xscale("log", base=10 if block == "triangles" else 2)
-            axes.set_yscale("log")
+            if block == "threads":
+                axes.set_ylim(0.0, 1.2 * max(one.us_high for one in of_block))
+            else:
+                axes.set_yscale("log")
             ticks = sorted({one.at for one in of_block})
             if block != "triangles":
                 axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
@@ -332,7 +335,8 @@ def plot(found: list[Timed]) -> bytes:
         axes.set_xlabel(label)
         axes.set_ylabel("µs for mask, loss and Dice of one view")
         axes.grid(visible=True, alpha=0.3)
-    grid[0, 0].legend(fontsize=8)
+    lines, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(lines, labels, loc="outside upper center", ncols=len(labels), fontsize=9)
     with io.BytesIO() as stream:
         figure.savefig(stream, format="png", dpi=110)
         return stream.getvalue()
