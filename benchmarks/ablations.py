@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
+from typing import Any
 from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -25,6 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
+from screwpose._types import ImageArray
 from screwpose.benchmark import get_set
 from screwpose.benchmark.judging import implant_symmetry
 from screwpose.benchmark.measures import roll_by_symmetry_deg
@@ -39,10 +41,12 @@ from screwpose.images import log_image
 from screwpose.registration import SearchOptions
 from screwpose.registration.recipe import STAGES, Stage, scaled_stages
 from screwpose.report.meshes import make_folder
+from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 from screwpose.solve import SolveOptions, solve
 
 _FIT = "screwpose.pairing.thickness"
 _MEASURE = "screwpose.similarity.thickness"
+_SHARP_ARGUMENTS = 5
 _GOOD_MM, _GOOD_DEG = 1.0, 1.0
 
 
@@ -78,7 +82,7 @@ def parts() -> list[Ablation]:
         Ablation("from half the resolution on", with_stages(_all_grids, STAGES[2:])),
         Ablation("marks are no prior", with_stages(lambda stage: replace(stage, mark_sigma_px=1e6))),
         Ablation("no sharp end", ((f"{_FIT}:_BETWEEN_ITERATIONS", 8), (f"{_FIT}:_SHARP_ITERATIONS", 0))),
-        Ablation("sharp end on the log, not the root", ((f"{_FIT}:root_image", log_image),)),
+        Ablation("sharp end on the log, not the greys", ((f"{_FIT}:make_gradient_target", _of_the_log),)),
         Ablation("sharp end with the mean left in", ((f"{_FIT}:_MEAN_PX", 0),)),
         Ablation("no robust weights", ((f"{_MEASURE}:CAUCHY", 1e6),)),
         Ablation("one saturating exponential", ((f"{_MEASURE}:SATURATION_MM", np.array([6.0], dtype=np.float32)),)),
@@ -87,6 +91,11 @@ def parts() -> list[Ablation]:
         Ablation("silhouettes in place of thickness", options=SolveOptions(refinement="evolution")),
         Ablation("marks alone", options=SolveOptions(search=SearchOptions(generations=0))),
     ]
+
+
+def _of_the_log(pixels: ImageArray, *others: Any) -> GradientTarget:
+    """The sharp target, which alone has a mean taken off, of the log image."""
+    return make_gradient_target(log_image(pixels) if len(others) == _SHARP_ARGUMENTS else pixels, *others)
 
 
 def _all_grids(stage: Stage) -> Stage:

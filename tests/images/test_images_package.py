@@ -10,7 +10,7 @@ def test_public_names() -> None:
     assert sorted(images.__all__) == images.__all__
     assert set(images.__all__) == {
         "Polarity", "Radiograph", "background", "carried_outwards", "detect_polarity", "encode_png", "field_of_view",
-        "flattened", "log_image", "metal_target", "read_mask", "read_radiograph", "root_image", "smoothed",
+        "flattened", "log_image", "metal_target", "read_mask", "read_radiograph", "smoothed",
     }  # fmt: skip
     for name in images.__all__:
         assert getattr(images, name).__doc__

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from screwpose.images import background, carried_outwards, flattened, log_image, root_image, smoothed
+from screwpose.images import background, carried_outwards, flattened, log_image, smoothed
 
 
 def test_log_adds_up_along_a_ray() -> None:
@@ -65,21 +65,3 @@ def test_carried_outwards_is_the_nearest_inside() -> None:
     image = np.array([[9, 1, 2, 9, 9]], dtype=np.float32)
     region = np.array([[False, True, True, False, False]])
     np.testing.assert_array_equal(carried_outwards(image, region), [[1, 1, 2, 2, 2]])
-
-
-def test_the_root_serves_displays_of_both_kinds() -> None:
-    # Attenuation a, as a power display shows it (the signal to the power 0.5) and as a logarithmic one (2.5 of it).
-    a = np.linspace(0.1, 2.4, 50)
-    shown = {"power": 1.0 - np.exp(-0.5 * a), "log": a / 2.5}
-    bend = {}
-    for kind, pixels in shown.items():
-        for name, image in (("log", log_image), ("root", root_image), ("plain", lambda one: one)):
-            values = image(pixels.astype(np.float32))
-            slope = np.diff(values) / np.diff(a)
-            bend[kind, name] = slope.max() / slope.min()
-    # Each wants its own image to be a straight line in a; the root is never the worst of the three.
-    assert bend["power", "log"] == pytest.approx(1.0, abs=0.01)
-    assert bend["log", "plain"] == pytest.approx(1.0, abs=0.01)
-    assert bend["power", "root"] < bend["power", "plain"]
-    assert bend["log", "root"] < bend["log", "log"]
-    np.testing.assert_allclose(root_image(np.array([[0.0, 0.75]], np.float32)), [[0.0, 0.5]])

@@ -105,6 +105,17 @@ def test_energy_response_and_shares_are_those_of_the_reference(target: GradientT
     assert assess(target, BODIES, poses).energy == found.energy
 
 
+def test_a_response_that_is_held_is_fitted_but_for_a_factor(target: GradientTarget) -> None:
+    fitted = assess(target, BODIES, POSES)
+    held = assess(target, BODIES, POSES, held_response=0.5 * fitted.response)
+    np.testing.assert_allclose(held.response, fitted.response, rtol=0.02)
+    assert held.energy == pytest.approx(fitted.energy, abs=2e-3)
+    # Elsewhere it is no worse than what a fit can do, and not better.
+    fitted, held = (assess(target, BODIES, moved(2.0), held_response=one) for one in (None, fitted.response))
+    assert fitted.energy - 0.1 < held.energy < fitted.energy + 2e-3
+    assert held.energy < 0.9
+
+
 def test_normal_equations_are_those_of_the_reference(target: GradientTarget) -> None:
     poses = moved(1.0, 2)
     lengths, motions = drawn(target, poses)

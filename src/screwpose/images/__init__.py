@@ -3,7 +3,7 @@
 from screwpose.images.encoding import encode_png
 from screwpose.images.field import field_of_view
 from screwpose.images.polarity import Polarity, detect_polarity
-from screwpose.images.preparation import background, carried_outwards, flattened, log_image, root_image, smoothed
+from screwpose.images.preparation import background, carried_outwards, flattened, log_image, smoothed
 from screwpose.images.radiograph import Radiograph
 from screwpose.images.reading import read_mask, read_radiograph
 from screwpose.images.target import metal_target
@@ -21,6 +21,5 @@ __all__ = [
     "metal_target",
     "read_mask",
     "read_radiograph",
-    "root_image",
     "smoothed",
 ]

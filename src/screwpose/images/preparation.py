@@ -23,21 +23,6 @@ def log_image(pixels: ImageArray) -> ImageArray:
     return np.asarray(np.log(transmitted) / np.float32(np.log(LOG_FLOOR)), dtype=np.float32)
 
 
-def root_image(pixels: ImageArray) -> ImageArray:
-    """Attenuation between what two displays ask for: of greys that are a power of the signal the logarithm adds up
-    along a ray, of greys that are its logarithm the greys themselves do. A square root is bent half as much as either.
-
-    Parameters
-    ----------
-    pixels : (rows, columns), metal bright, in [0, 1].
-
-    Returns
-    -------
-    (rows, columns), float32, metal bright, 0 to 1.
-    """
-    return np.asarray(1.0 - np.sqrt(np.maximum(1.0 - np.asarray(pixels, dtype=np.float32), np.float32(LOG_FLOOR))))
-
-
 def smoothed(pixels: ImageArray, sigma_px: float) -> ImageArray:
     """Gaussian smoothing; 0 px returns the pixels as they are. Beyond the border the border's value goes on."""
     if sigma_px < 0:

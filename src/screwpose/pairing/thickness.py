@@ -13,7 +13,7 @@ import numpy as np
 from screwpose._threads import in_threads
 from screwpose._types import FloatArray
 from screwpose.files.case import Case, View
-from screwpose.images import log_image, root_image
+from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
 from screwpose.pairing.cameras import CamerasFit, are_free, fit_cameras
@@ -32,11 +32,12 @@ from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 _MANY_FACES, _FEWEST_FACES = 20_000, 12_000
 _SURFACE_BOUND_PX = 0.1
 # What limits the accuracy is not noise but what the model leaves out, and that is smooth: the last iterations look at
-# sharper edges, less their mean over some 2 mm.
+# sharper edges, less their mean over some 2 mm; and at the greys themselves, since inside dense metal, where they are
+# nearly black, the logarithm is mostly noise.
 _SHARP_PX, _MEAN_PX = 0.7, 9
 _BETWEEN_ITERATIONS, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 2, 6, 0.002
 # So many triangles are enough from so many px in one on.
-_COARSER_FACES = {2: 6_000, 4: 2_500}
+_COARSER_FACES = {2: 2_500}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +99,8 @@ def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
 def _targets_of(scales: Sequence[int], view: View) -> list[GradientTarget]:
     log = log_image(view.radiograph.pixels)
     targets = [make_gradient_target(log, view.mask, view.camera, scale) for scale in scales]
-    root = root_image(view.radiograph.pixels)
-    return [*targets, make_gradient_target(root, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX)]
+    greys = view.radiograph.pixels
+    return [*targets, make_gradient_target(greys, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX)]
 
 
 def _fit_mesh(mesh: Mesh, mm_per_px: float) -> Mesh:

@@ -176,7 +176,7 @@ def _nearby(
     """The way along the thread is long and flat: a few steps of it at once."""
     angles_deg = (0.0, *_NEARBY_DEG)
     trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
-    return trials[int(np.argmax(energies_of_candidates(views, bodies, poses, index, trials)))]
+    return trials[int(np.argmax(energies_of_candidates(views, bodies, poses, index, trials, is_quick=True)))]
 
 
 def other_ways(
@@ -191,7 +191,7 @@ def other_ways(
     if lead_mm:
         angles_deg = np.concatenate([np.negative(_FULL_TURN_DEG[::-1]), angles_deg, _FULL_TURN_DEG])
     trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
-    energies = np.array(energies_of_candidates(views, bodies, poses, index, trials))
+    energies = np.array(energies_of_candidates(views, bodies, poses, index, trials, is_quick=True))
     padded = np.concatenate([[-np.inf], energies, [-np.inf]])
     is_peak = (energies >= padded[:-2]) & (energies >= padded[2:]) & (angles_deg != 0.0)
     now = energies[len(energies) // 2]

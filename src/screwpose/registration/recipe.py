@@ -170,7 +170,7 @@ def _through(
     if stage.tilts_deg:
         poses = _best_of_each(views, bodies, poses, partial(_tilted, stage.tilts_deg), which)
     if stage.rolls_deg:
-        poses = _best_of_each(views, bodies, poses, partial(_rolled, stage.rolls_deg), which)
+        poses = _best_of_each(views, bodies, poses, partial(_rolled, stage.rolls_deg), which, is_quick=True)
     return fit_at_scale(views, bodies, poses, stage.mark_sigma_px, stage.iterations, stage.enough_mm)
 
 
@@ -202,12 +202,13 @@ def _best_of_each(
     poses: Sequence[FloatArray],
     candidates: Callable[[Body, FloatArray], list[FloatArray]],
     which: Sequence[int],
+    is_quick: bool = False,
 ) -> list[FloatArray]:
     """One screw after the other takes the candidate that explains most, the others as they stand."""
     best = list(poses)
     for index in which:
         trials = candidates(bodies[index], best[index])
-        best[index] = trials[int(np.argmax(energies_of_candidates(views, bodies, best, index, trials)))]
+        best[index] = trials[int(np.argmax(energies_of_candidates(views, bodies, best, index, trials, is_quick)))]
     return best
 
 

@@ -82,13 +82,21 @@ def energies_of_candidates(
     poses: Sequence[FloatArray],
     index: int,
     candidates: Sequence[FloatArray],
+    is_quick: bool = False,
 ) -> list[float]:
-    """The explained energy, mean of the views, with one body at each of several poses and the others as they stand."""
+    """The explained energy, mean of the views, with one body at each of several poses and the others as they stand.
+
+    Parameters
+    ----------
+    is_quick : the views' responses are those of `poses`, which are about right, and not fitted to every candidate.
+    """
     together = packed(bodies, targets[0].scale)
     scenes = [[*poses[:index], candidate, *poses[index + 1 :]] for candidate in candidates]
+    held = [assess(target, together, poses).response if is_quick else None for target in targets]
 
     def energy(scene: Sequence[FloatArray]) -> float:
-        return float(np.mean([assess(target, together, scene).energy for target in targets]))
+        views = zip(targets, held, strict=True)
+        return float(np.mean([assess(target, together, scene, held_response=one).energy for target, one in views]))
 
     return in_threads(energy, scenes)
 
