@@ -89,7 +89,7 @@ def test_a_blurred_image_is_explained_and_its_blur_found() -> None:
         assert found is not None
         energies.append(found.energy)
         weighted = found.by_blur * found.weights / found.spread**2
-        step = np.linalg.solve(weighted @ found.by_blur.T + np.eye(3), weighted @ found.residuals)
+        step = np.linalg.solve(weighted @ found.by_blur.T + np.eye(4), weighted @ found.residuals)
         blur = blur.then(np.clip(step, -1.0, 1.0))
     assert energies[-1] > 0.996 > energies[0]
     np.testing.assert_allclose(blur.sigma_px, truth.sigma_px, rtol=0.06)
@@ -125,3 +125,15 @@ def test_intrinsics_move_the_image(scale: int) -> None:
             moved.append(smoothed_derivatives(drawn(other), 1.3, near).ravel())
         expected = ((moved[0] - moved[1]) / (2.0 * step))[inside.ravel()]
         np.testing.assert_allclose(columns[k][inside.ravel()], expected, atol=0.01 * np.abs(expected).max())
+
+
+def test_edges_move_out_by_what_is_said() -> None:
+    lengths = np.zeros(SHAPE, np.float32)
+    lengths[:, 60:] = 8.0
+    inner, plain, outer = (_blurred(lengths, Blur(1.2, 0.3, GAUSSIAN, edge), 1)[60] for edge in (-0.2, 0.0, 0.2))
+
+    def crossing(row: np.ndarray) -> float:
+        return float(np.interp(3.0, row[50:70], np.arange(50, 70)))
+
+    np.testing.assert_allclose(crossing(plain) - crossing(outer), 0.2, atol=0.05)
+    np.testing.assert_allclose(crossing(inner) - crossing(plain), 0.2, atol=0.05)

@@ -56,6 +56,8 @@ def test_what_is_refined(simulated: tuple[Case, TruthFile]) -> None:
     case, truth = simulated
     assert not are_free(with_sigmas(case, "given", NOISE))
     assert not are_free(with_sigmas(wrong(case, truth, 1.0, SIGMA), "off", NOISE))
+    nothing_wrong = CameraSigma(0.0, 0.0, 0.0, 0.0)
+    assert not are_free(with_sigmas(wrong(case, truth, 0.0, nothing_wrong), "given", NOISE))
     agreeing, contradicted = (with_sigmas(wrong(case, truth, amount), "auto", NOISE) for amount in (0.0, 1.0))
     assert {view.sigma for view in agreeing.views.values()} == {"auto"}
     assert {view.sigma for view in contradicted.views.values()} == {AUTO}

@@ -129,7 +129,10 @@ def _with(case: Case, sigmas: Mapping[str, CameraSigma | Literal["auto"] | None]
 
 def are_free(case: Case) -> bool:
     """Whether any of the cameras may be refined."""
-    return any(view.sigma is not None for view in case.views.values())
+    return any(
+        view.sigma == "auto" or (view.sigma is not None and view.sigma.by_parameter.any())
+        for view in case.views.values()
+    )
 
 
 def in_cameras(case: Case, cameras: Mapping[str, Camera]) -> Case:

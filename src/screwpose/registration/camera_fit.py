@@ -22,7 +22,7 @@ from screwpose.similarity.blurred import Blur
 from screwpose.similarity.thickness import GradientTarget
 
 _OF_VIEW = PARAMETERS + OF_BLUR
-_DAMPING = 1e-4
+_DAMPING = 1e-7  # priors hold what images do not; more would hold back focal length and depth, the weakest of all
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 _LARGEST_STEP = 1.0  # of what is in sigmas
 
@@ -54,7 +54,7 @@ class CameraState:
 
 @dataclass(frozen=True, eq=False)
 class CameraSystem:
-    """The normal equations of poses (6 B), then of each view its standardised correction (9) and blur (3).
+    """The normal equations of poses (6 B), then of each view its standardised correction (9) and blur (4).
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def camera_system(
 def _unknowns(
     view: CalibratedView, centers_mm: Sequence[FloatArray], pivot_mm: FloatArray, own: int, size: int
 ) -> FloatArray:
-    """What all unknowns are to a view: (6 B + 6, size), from standardised ones to those of `view_system`."""
+    """What all unknowns are to a view: (6 B + 7, size), from standardised ones to those of `view_system`."""
     first = 6 * len(centers_mm)
     matrix = np.zeros((first + OF_IMAGE, size))
     matrix[:first, :first] = np.eye(first)

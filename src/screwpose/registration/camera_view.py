@@ -34,7 +34,7 @@ class ViewSystem:
 
     Parameters
     ----------
-    information, gradient : (6 B + 6, 6 B + 6) and (6 B + 6,).
+    information, gradient : (6 B + 7, 6 B + 7) and (6 B + 7,).
     energy : the share of the image's gradient energy that is explained.
     """
 
