@@ -47,6 +47,9 @@ class Stage:
 
 
 _DOUBTFUL = 0.5
+# Marks of 4 px leave the axis of a short screw 7 degrees off.
+_WIDE_DEG = (-7.0, -3.5, 0.0, 3.5, 7.0)
+_WIDE_ROLLS_DEG = tuple(np.arange(0.0, 360.0, 30.0).tolist())
 # At 1024 px on 300 mm, magnified by 1.5, a pixel is 0.2 mm: these are an eighth of the resolution up to all of it.
 STAGES = (
     Stage(1.6, 6, 0.1, 2.0, tilts_deg=(-3.0, 0.0, 3.0), rolls_deg=tuple(np.arange(0.0, 360.0, 15.0).tolist())),
@@ -181,19 +184,37 @@ def _begun_again(
     targets: Targets,
     stages: Sequence[tuple[int, Stage]],
 ) -> list[FloatArray]:
-    """Let screws that explain little in some view begin once more, straight from their start.
+    """Let screws that explain little in some view begin once more from their start, in two other ways.
 
-    The grid of directions turns a screw where it stands; started a mm off, the direction that looks best may be wrong.
+    The grid of directions turns a screw where it stands, at the roll it has. Started a mm off, the direction that looks
+    best may be wrong: so first without it. Started many degrees off, as careless marks do, no direction of the grid
+    is right: so then with a wider one, every direction at many rolls.
     """
+    best = list(poses)
     scale, stage = stages[-1]
-    lowest = energies_of_each(targets[scale], bodies, poses).min(axis=1)
-    doubtful = np.flatnonzero(lowest < stage.doubtful_below).tolist()
-    if not doubtful:
-        return list(poses)
-    again = [start[number] if number in doubtful else pose for number, pose in enumerate(poses)]
-    for scale, stage in stages:
-        again = list(_through(targets[scale], bodies, again, replace(stage, tilts_deg=()), doubtful).world_from_cad)
-    return again if preference(targets[scale], bodies, again, poses) > 0.0 else list(poses)
+    for directions in (_as_they_stand, _all_around):
+        lowest = energies_of_each(targets[scale], bodies, best).min(axis=1)
+        doubtful = np.flatnonzero(lowest < stage.doubtful_below).tolist()
+        if not doubtful:
+            break
+        again = [start[number] if number in doubtful else pose for number, pose in enumerate(best)]
+        again = _best_of_each(targets[stages[0][0]], bodies, again, directions, doubtful)
+        for one, (its_scale, its) in enumerate(stages):
+            without = replace(
+                its, tilts_deg=(), rolls_deg=() if one == 0 and directions is _all_around else its.rolls_deg
+            )
+            again = list(_through(targets[its_scale], bodies, again, without, doubtful).world_from_cad)
+        if preference(targets[scale], bodies, again, best) > 0.0:
+            best = again
+    return best
+
+
+def _as_they_stand(_body: Body, pose: FloatArray) -> list[FloatArray]:
+    return [pose]
+
+
+def _all_around(body: Body, pose: FloatArray) -> list[FloatArray]:
+    return [rolled for tilted in _tilted(_WIDE_DEG, body, pose) for rolled in _rolled(_WIDE_ROLLS_DEG, body, tilted)]
 
 
 def _best_of_each(
