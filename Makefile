@@ -4,7 +4,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: demo test lint types docs check setup lock schemas clean
+.PHONY: demo test bounds lint types docs check setup lock schemas clean
 .DELETE_ON_ERROR:
 
 demo: setup            ## set-up, then the main job: a two-screw case with known truth
@@ -25,6 +25,9 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation -e .
 	@touch $(STAMP)
 
+bounds: setup          ## the compiled loops once more, every index checked: one that is wrong writes where it must not
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds $(BIN)/python -m pytest -n auto -q tests/projection tests/similarity
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -35,7 +38,7 @@ types: setup
 docs: setup            ## built strictly: a broken link or a page left out is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir build/site
 
-check: test lint types docs   ## all that CI does
+check: test bounds lint types docs   ## all that CI does
 
 lock: setup            ## new versions, with hashes, for every platform
 	$(BIN)/uv pip compile --universal --generate-hashes --upgrade --quiet --python-version 3.11 --group dev pyproject.toml -o requirements.lock
