@@ -34,7 +34,11 @@ def on_this_machine(tasks: list[CaseTask], workers: int, forecast: Forecast) -> 
     """Do the cases in processes of this machine; they can be reached from it alone."""
     distributed = import_module("distributed")
     forecast.say(f"starting {workers} workers")
-    with _deaf_to_ctrl_c(lambda: _local_cluster(workers)) as cluster, distributed.Client(cluster) as client:
+    with (
+        _quiet_logs(),
+        _deaf_to_ctrl_c(lambda: _local_cluster(workers)) as cluster,
+        distributed.Client(cluster) as client,
+    ):
         try:
             yield from _gathered(client, tasks, forecast)
         except BaseException:
@@ -200,16 +204,17 @@ def _wait_for_workers(client: Any, address: str, forecast: Forecast) -> None:
 
 @contextlib.contextmanager
 def _quiet_logs() -> Iterator[None]:
-    """Keep dask's own words off the terminal: what matters is said by an error of ours."""
+    """Keep dask's own words off the terminal: what matters is said by an error of ours.
+
+    After an error or Ctrl-C they stay off: what comes undone behind us is no news, and comes late, from other threads.
+    """
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
     before = {name: logging.getLogger(name).level for name in names}
     for name in names:
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for name, level in before.items():
-            logging.getLogger(name).setLevel(level)
+    yield
+    for name, level in before.items():
+        logging.getLogger(name).setLevel(level)
 
 
 def _first_line(error: Exception) -> str:
