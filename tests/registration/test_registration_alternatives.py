@@ -10,11 +10,11 @@ from scipy.spatial import KDTree
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, Mesh, ScrewDesign, make_screw
 from screwpose.implants.symmetry import surface_sample
-from screwpose.registration.alternatives import Rival, companions, other_ways, screwed, thread_lead_mm
+from screwpose.registration.alternatives import Rival, companions, compared_again, other_ways, screwed, thread_lead_mm
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
 from screwpose.registration.recipe import STAGES, fit_by_thickness, settled
-from screwpose.registration.thickness_fit import Body
+from screwpose.registration.thickness_fit import Body, fit_at_scale
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 from screwpose.simulation.pathlength import path_length_mm
 
@@ -106,6 +106,19 @@ def test_the_recipe_turns_a_screw_back_along_its_thread(turn_deg: float) -> None
     stuck = settled([body()], first, targets, without)
     assert np.degrees(np.linalg.norm(rigid.log_rotation(stuck.world_from_cad[0][:3, :3] @ truth()[:3, :3].T))) > 5.0
     assert stuck.rivals == ()
+
+
+def test_sharper_images_decide_what_coarser_ones_left_open() -> None:
+    half_turn = screwed(screw(), truth(), np.pi, 2.75)
+    wrong = fit_at_scale(views(1), [body()], [half_turn], 3.0, 4, 0.005).world_from_cad
+    open_rival, clear_rival = Rival(0, 180.0, -2.75 / 2.0, 0.4), Rival(0, 90.0, 0.1, 5.0)
+    best, rivals = compared_again(views(1), [body()], wrong, [open_rival, clear_rival], 3.0, 6, 0.005)
+    assert np.degrees(np.linalg.norm(rigid.log_rotation(best[0][:3, :3] @ truth()[:3, :3].T))) < 1.0
+    assert np.linalg.norm((best[0] - truth()) @ np.append(screw().tip_mm, 1.0)) < 0.1
+    # The one that was left is the rival now, and ruled out; what was ruled out before stays as it was.
+    assert abs(rivals[0].turn_deg) > 170.0
+    assert rivals[0].preference > 1.0
+    assert rivals[1] is clear_rival
 
 
 def test_the_images_prefer_the_truth_and_say_by_how_much() -> None:

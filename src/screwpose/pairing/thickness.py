@@ -21,7 +21,7 @@ from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import Progress, SearchResult
-from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, thread_lead_mm
+from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, compared_again, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
 from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale, linearised
@@ -168,7 +168,10 @@ def settle_by_thickness(
         (thickness.sharp, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM),
     ):
         poses = fit_at_scale(views, bodies, poses, stage.mark_sigma_px, iterations, enough_mm).world_from_cad
-    return _judged(case, thickness, bodies, replace(at_rest, world_from_cad=poses), noise)
+    final, rivals = compared_again(
+        thickness.sharp, bodies, poses, at_rest.rivals, stage.mark_sigma_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM
+    )
+    return _judged(case, thickness, bodies, replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals)), noise)
 
 
 def _leads_mm(thickness: Thickness, combination: Combination) -> list[float]:

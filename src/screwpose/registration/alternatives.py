@@ -32,6 +32,7 @@ _ITERATIONS = 3
 # Poses that the images prefer by less may as well be the other way. On development cases right ones are preferred to
 # all that was tried by 1.2 and more, half of them by 3.7.
 DECIDED_SIGMAS = 1.0
+_CLEAR_SIGMAS = 3.0  # on development cases sharp images decided all that were left below it
 SAME_TURN_DEG, SAME_SHIFT_MM = 10.0, 0.3  # nearer poses are one, not yet at rest
 _REST_DEG, _REST_MM = 3.0, 0.1  # what a coarser image may differ by
 _BESIDE_PX = 8.0
@@ -162,6 +163,45 @@ def _apart(implant: Implant, world_from_cad: FloatArray, other: FloatArray) -> t
     turn = rigid.log_rotation(level @ world_from_cad[:3, :3].T) @ axis
     shift = rigid.transform(other, implant.center_mm) - rigid.transform(world_from_cad, implant.center_mm)
     return float(np.degrees(turn)), float(shift @ axis)
+
+
+def compared_again(
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    rivals: Sequence[Rival],
+    mark_sigma_px: float,
+    iterations: int,
+    enough_mm: float,
+) -> tuple[list[FloatArray], list[Rival]]:
+    """Fit rivals that coarser images hardly rule out to sharper ones, and compare once more.
+
+    Parameters
+    ----------
+    views : sharp; `poses` (4, 4) each were fitted to them.
+    rivals : as `better_ways` gave them; those that are clearly ruled out stay as they are.
+    mark_sigma_px, iterations, enough_mm : as `fit_at_scale` has them.
+
+    Returns
+    -------
+    The poses that the images prefer, and the rivals with what the sharper images say of them.
+    """
+    best, judged = [np.asarray(pose, dtype=np.float64) for pose in poses], []
+    for rival in rivals:
+        if rival.preference >= _CLEAR_SIGMAS:
+            judged.append(rival)
+            continue
+        implant = bodies[rival.index].implant
+        start = list(best)
+        start[rival.index] = turned(implant, best[rival.index], float(np.radians(rival.turn_deg)))
+        start[rival.index][:3, 3] += rival.shift_mm * (start[rival.index][:3, :3] @ implant.axis)
+        other = list(fit_at_scale(views, bodies, start, mark_sigma_px, iterations, enough_mm).world_from_cad)
+        by = preference(views, bodies, other, best)
+        if by > DECIDED_SIGMAS:
+            best, other, by = other, best, -by
+            best = list(fit_at_scale(views, bodies, best, mark_sigma_px, iterations, enough_mm).world_from_cad)
+        judged.append(Rival(rival.index, *_apart(implant, best[rival.index], other[rival.index]), -by))
+    return best, [rival for rival in judged if not rival.is_the_same(1)]
 
 
 def is_at_rest(body: Body, world_from_cad: FloatArray, other: FloatArray) -> bool:
