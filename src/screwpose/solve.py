@@ -114,10 +114,11 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     if options.search.generations > 0:
         trials, excuses = _registered(case, evidence, trials, options, _within(tell, 0.2, 0.97))
         warnings += excuses
+    else:
+        trials = sorted(trials, key=_ORDERS[options.method])
     clock.lap("registration")
 
     tell(0.97, "judging")
-    trials = sorted(trials, key=_ORDERS[options.method])
     confidence = judge([trial.combination for trial in trials], 0, trials[0].probability)
     if confidence.status == "refused":
         return refused(case, confidence.reasons, clock.read("judging"))
@@ -161,7 +162,8 @@ def _promising(trials: list[Trial], options: SolveOptions) -> list[Trial]:
 def _registered(
     case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
 ) -> tuple[list[Trial], list[str]]:
-    """The trials, the most promising of them registered; and why it was not done as asked, if it was not."""
+    """The trials in the method's order, the most promising of them registered; and why it was not done as asked, if it
+    was not."""
     if _refinement(options) == "evolution":
         return _registered_by_evolution(evidence, trials, options, tell), []
     try:
@@ -174,7 +176,7 @@ def _registered(
 def _registered_by_evolution(
     evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
 ) -> list[Trial]:
-    """The trials, the most promising of them registered by the paper's search."""
+    """The trials in the method's order, the most promising of them registered by the paper's search."""
     promising = _promising(trials, options)
     done = []
     for index, trial in enumerate(promising):
@@ -182,13 +184,14 @@ def _registered_by_evolution(
         found = refine(evidence, trial.combination, trial.placed, options.search, within)
         post = score(evidence, trial.combination, found.world_from_cad)
         done.append(replace(trial, found=found, post=post))
-    return done + [trial for trial in trials if trial not in promising]
+    return sorted([*done, *(trial for trial in trials if trial not in promising)], key=_ORDERS[options.method])
 
 
 def _registered_by_thickness(
     case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
 ) -> list[Trial]:
-    """The trials, the most promising of them registered by thickness, and all judged again by their marks."""
+    """The trials in the method's order: the most promising of them registered by thickness, all judged again by their
+    marks, and the first settled."""
     promising = _promising(trials, options)
     centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
     thickness = prepare_thickness(case, np.mean(centers, axis=0))
@@ -208,17 +211,17 @@ def _registered_by_thickness(
     marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in done]
     again = judged_again(np.array([trial.probability for trial in done]), *np.array(marks).T)
     judged = [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
-    chosen = min(judged, key=_ORDERS[options.method])
+    chosen, *others = sorted(judged, key=_ORDERS[options.method])
     assert chosen.found is not None
     assert chosen.quality is not None
     if chosen.quality.cameras is not None:  # settled before its cameras were freed
-        return judged
+        return [chosen, *others]
     found, quality = settle_by_thickness(
         case, thickness, chosen.combination, chosen.found, options.noise, _within(tell, 0.7, 1.0)
     )
     post = score(evidence, chosen.combination, found.world_from_cad)
-    settled = replace(chosen, found=found, post=post, quality=quality)
-    return [settled if trial is chosen else trial for trial in judged]
+    # It stays the first, whatever its scores are now: the others were not settled, and are not to be compared with it.
+    return [replace(chosen, found=found, post=post, quality=quality), *others]
 
 
 def _of_several(tell: Progress, index: int, count: int) -> Progress:
