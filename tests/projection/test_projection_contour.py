@@ -108,9 +108,10 @@ def test_open_and_closed_bodies_in_one_scene() -> None:
     assert assert_is_the_references(CAMERA, poses, [screw, part]) > 1000
 
 
-def test_as_many_layers_as_a_byte_cannot_tell_from_none() -> None:
+@pytest.mark.parametrize("count", [100, 255, 256], ids=["crossings in several loads", "just", "one too many"])
+def test_as_many_layers_as_a_byte_cannot_tell_from_none(count: int) -> None:
     plate = trimesh.creation.box((20.0, 14.0, 0.05))
-    pile = trimesh.util.concatenate([plate.copy().apply_translation([0, 0, 0.2 * k]) for k in range(256)])
+    pile = trimesh.util.concatenate([plate.copy().apply_translation([0, 0, 0.2 * k]) for k in range(count)])
     covered = assert_is_the_references(CAMERA, [pose_at(0.3, 0.2, 300.0)], [(pile.vertices, pile.faces)])
     assert covered == pytest.approx(20 * 14 * 4, rel=0.1)
 

@@ -91,11 +91,13 @@ class Room(NamedTuple):
     Parameters
     ----------
     u, v : (N,), of the largest body that has to be projected as a whole.
-    source_mm : (3,); is_seen : (F,); contour : (E + 1,): of the body at hand, see `contour_kernels.find_contour`.
-    lines : (E + 1, 3), of the edges that cross a column: u and v of one end, v a row further down, and v by u.
-    reach : (E + 1, 3), their first and last column (not included), and whether they raise the number of windings.
+    source_mm : (3,); is_seen : (F,); contour : (E + 4,): of the body at hand, see `contour_kernels.find_contour`.
+    lines, reach : (3, E + 4), of the contour's edges, see `lane_kernels.project_edges`.
+    order : (E + 4,), which of them cross a column.
+    places : (any,), which changes are to be made: twice the place in the flat array, and 1 more where it is up.
     changes : (words, rows + 1, 64), by how much the number of windings changes from the row above; 0 between scenes.
-    raised : (columns,), how many of a column's changes are up, 0 between scenes.
+    raised : (words, 65), by how much the number of a column's changes that are up differs from that of the column
+        before; 0 between scenes.
     bits : (words, rows + 1), the mask; the last row stays 0.
     ranges : (words, 2), the first row and the last (not included) that may hold a bit.
     """
@@ -107,8 +109,10 @@ class Room(NamedTuple):
     contour: NDArray[np.uint32]
     lines: FloatArray
     reach: NDArray[np.int32]
+    order: NDArray[np.uint32]
+    places: NDArray[np.uint32]
     changes: NDArray[np.int8]
-    raised: NDArray[np.uint32]
+    raised: NDArray[np.int32]
     bits: NDArray[np.uint64]
     ranges: IntArray
 

@@ -5,6 +5,7 @@ each crossing of the column with a contour edge raises or lowers that number, an
 of a mesh only the plane of each face is read (one sign a face), then its edges (one comparison), and only the few
 hundred vertices of the contour are projected. Crossings are written as changes, a byte a pixel; a sweep down the rows
 adds them up, 64 columns at once, and nothing is sorted. All closed bodies of a scene share one sweep.
+What is done lane by lane stands in `lane_kernels`.
 
 Arrays are in blocks of 64 columns, one block after the other, so that the sweep walks along the memory: a mask is
 (words, rows + 1) words of 64 columns, the transpose of bit rows. One thread each, no shared state, as in `kernels`.
@@ -13,36 +14,13 @@ Arrays are in blocks of 64 columns, one block after the other, so that the sweep
 import math
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from numba import njit
 
 from screwpose.projection.contour import Room
 from screwpose.projection.kernels import fill, project
+from screwpose.projection.lane_kernels import AT_ONCE, project_edges, sweep, write_places
 
-_LANES = ir.VectorType(ir.IntType(8), 64)
-
-
-@intrinsic
-def _sweep(_context, _changes, _bits, _count):
-    """Add up `count` rows of 64 changes, at these addresses; clear them, and set the bits where the sum is not 0."""
-
-    def code(_c, builder, _s, arguments):
-        changes, bits, count = arguments
-        word, none = ir.IntType(64), ir.Constant(_LANES, None)
-        around = cgutils.alloca_once_value(builder, none)
-        with cgutils.for_range(builder, count) as row:
-            change = builder.inttoptr(builder.add(changes, builder.mul(row.index, word(64))), _LANES.as_pointer())
-            total = builder.add(builder.load(around), builder.load(change, align=1))
-            builder.store(total, around)
-            builder.store(none, change, align=1)
-            covered = builder.bitcast(builder.icmp_unsigned("!=", total, none), word)
-            place = builder.inttoptr(builder.add(bits, builder.mul(row.index, word(8))), word.as_pointer())
-            builder.store(builder.or_(builder.load(place), covered), place)
-        return word(0)
-
-    return types.int64(types.int64, types.int64, types.int64), code
+_PLACES = 4096  # crossings on their way from the lines to the changes: few enough to stay in the nearest cache
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -77,7 +55,7 @@ def find_contour(planes, first_face, last_face, edge_faces, source_mm, is_seen, 
     edge_faces : (E, 2), the face that runs along an edge, and the one that runs against it.
     source_mm : (3,).
     is_seen : (F,) uint8, filled.
-    contour : (E + 1,), filled: the edges' numbers.
+    contour : (E + 4,), filled: the edges' numbers, and 0 after them.
 
     Returns
     -------
@@ -93,10 +71,11 @@ def find_contour(planes, first_face, last_face, edge_faces, source_mm, is_seen, 
     for edge in range(edge_faces.shape[0]):
         contour[count] = edge  # no branch: which edges belong is hard to foresee
         count += np.uint64(is_seen[edge_faces[edge, 0]] ^ is_seen[edge_faces[edge, 1]])
+    contour[count : count + np.uint64(AT_ONCE - 1)] = 0
     return np.int64(count)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, nogil=True, error_model="numpy")
 def cross_columns(
     pixels_from_cad, vertices_mm, edge_vertices, edge_faces, is_seen, contour, count, is_mirrored, columns, room
 ):
@@ -109,53 +88,55 @@ def cross_columns(
     columns : of the image.
     room : `Room`; its changes, raised and ranges are added to.
     """
-    changes, raised, ranges = room.changes, room.raised, room.ranges
-    a, b, c, d = pixels_from_cad[0]
-    e, f, g, h = pixels_from_cad[1]
-    i, j, k, m = pixels_from_cad[2]
-    wide, high = np.float64(columns), np.float64(changes.shape[1] - 1)
-    lines, reach = room.lines, room.reach
+    lines, reach, order, raised, ranges = room.lines, room.reach, room.order, room.raised, room.ranges
+    project_edges(
+        pixels_from_cad.ctypes.data, vertices_mm.ctypes.data, edge_vertices.ctypes.data, contour.ctypes.data, count,
+        np.float64(columns), lines.ctypes.data, reach.ctypes.data, lines.shape[1],
+    )  # fmt: skip
     kept = np.uint64(0)
     for index in range(count):
-        edge = contour[index]
-        from_vertex, to_vertex = edge_vertices[edge, 0], edge_vertices[edge, 1]
-        x, y, z = vertices_mm[from_vertex, 0], vertices_mm[from_vertex, 1], vertices_mm[from_vertex, 2]
-        per_depth = 1.0 / (i * x + j * y + k * z + m)
-        u, v = (a * x + b * y + c * z + d) * per_depth, (e * x + f * y + g * z + h) * per_depth
-        x, y, z = vertices_mm[to_vertex, 0], vertices_mm[to_vertex, 1], vertices_mm[to_vertex, 2]
-        per_depth = 1.0 / (i * x + j * y + k * z + m)
-        to_u, to_v = (a * x + b * y + c * z + d) * per_depth, (e * x + f * y + g * z + h) * per_depth
-        # No branches: which way an edge runs, and whether it crosses a column, is hard to foresee.
-        is_back = to_u < u
-        begin = np.int64(math.ceil(min(max(to_u if is_back else u, 0.0), wide)))
-        end = np.int64(math.ceil(min(max(u if is_back else to_u, 0.0), wide)))
-        lines[kept, 0], lines[kept, 1], lines[kept, 2] = u, v + 1.0, (to_v - v) / (to_u - u)
-        reach[kept, 0], reach[kept, 1] = begin, end
-        reach[kept, 2] = is_seen[edge_faces[edge, 0]] ^ is_mirrored ^ np.uint8(is_back)
-        kept += np.uint64(begin < end)
-    for line in range(kept):
-        u, v, per_column = lines[line, 0], lines[line, 1], lines[line, 2]
-        begin, end, rises = np.int64(reach[line, 0]), np.int64(reach[line, 1]), np.uint32(reach[line, 2])
-        change = np.int8(2 * np.int64(rises) - 1)
+        order[kept] = index  # no branch: which lines reach the centre of a column is hard to foresee
+        kept += np.uint64(reach[0, index] < reach[1, index])
+    last_row, stride = np.float64(room.changes.shape[1] - 1), 64 * room.changes.shape[1]
+    places = room.places.ctypes.data
+    written = 0
+    for index in range(kept):
+        line = order[index]
+        # The cut to an integer rounds down: a row further down, it rounds up. Past an edge by less than 1e-3 px the
+        # centre may fall either way.
+        u, v, per_column = lines[0, line], lines[1, line] + 1.0, lines[2, line]
+        begin, end = np.int64(reach[0, line]), np.int64(reach[1, line])
+        rises = np.int64(is_seen[edge_faces[contour[line], 0]] ^ is_mirrored ^ reach[2, line])
         while begin < end:
             word = begin >> 6
             until = min(end, 64 * (word + 1))
-            # The cut to an integer rounds down; past an edge by less than 1e-3 px the centre may fall either way.
-            first = min(max(v + (begin - u) * per_column, 0.0), high)
-            last = min(max(v + (until - 1 - u) * per_column, 0.0), high)
-            if min(first, last) > 0.0 and max(first, last) < high:
-                for column in range(begin, until):
-                    row = np.uint64(np.int64(v + (column - u) * per_column))
-                    changes[word, row, column & 63] += change
-                    raised[column] += rises
-            else:
-                for column in range(begin, until):
-                    row = np.uint64(np.int64(min(max(v + (column - u) * per_column, 0.0), high)))
-                    changes[word, row, column & 63] += change
-                    raised[column] += rises
-            ranges[word, 0] = min(ranges[word, 0], np.int64(min(first, last)))
-            ranges[word, 1] = max(ranges[word, 1], np.int64(max(first, last)) + 1)
+            row = v + (begin - u) * per_column
+            first = np.int64(min(max(row, 0.0), last_row))
+            last = np.int64(min(max(row + (until - 1 - begin) * per_column, 0.0), last_row))
+            ranges[word, 0] = min(ranges[word, 0], first, last)
+            ranges[word, 1] = max(ranges[word, 1], first + 1, last + 1)
+            raised[word, begin & 63] += rises
+            raised[word, until - 64 * word] -= rises
+            if written + 64 + AT_ONCE > _PLACES:
+                _change(room.places[:written], room.changes)
+                written = 0
+            place = 2 * (word * stride + (begin & 63)) + rises
+            for step in range(0, until - begin, AT_ONCE):  # what is written past the end, the next line overwrites
+                write_places(
+                    places + 4 * (written + step), row + step * per_column, per_column, last_row, place + 2 * step
+                )
+            written += until - begin
             begin = until
+    _change(room.places[:written], room.changes)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _change(places, changes):
+    """Raise or lower the numbers at these places; see `Room`."""
+    flat = changes.reshape(-1)
+    for index in range(len(places)):
+        place = np.uint64(places[index])
+        flat[place >> np.uint64(1)] += np.int8(2 * np.int64(place & np.uint64(1)) - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -171,11 +152,13 @@ def room_for(bodies, rows, columns):
         np.empty(vertices),
         np.empty(3),
         np.empty(faces, dtype=np.uint8),
-        np.empty(edges + 1, dtype=np.uint32),
-        np.empty((edges + 1, 3)),
-        np.empty((edges + 1, 3), dtype=np.int32),
+        np.empty(edges + AT_ONCE, dtype=np.uint32),
+        np.empty((3, edges + AT_ONCE)),
+        np.empty((3, edges + AT_ONCE), dtype=np.int32),
+        np.empty(edges + AT_ONCE, dtype=np.uint32),
+        np.empty(_PLACES, dtype=np.uint32),
         np.zeros((words, rows + 1, 64), dtype=np.int8),
-        np.zeros(columns, dtype=np.uint32),
+        np.zeros((words, 65), dtype=np.int32),
         np.zeros((words, rows + 1), dtype=np.uint64),
         np.empty((words, 2), dtype=np.int64),
     )
@@ -187,27 +170,28 @@ def room_for(bodies, rows, columns):
 def clear(room):
     """Take the bits of a drawn scene away again."""
     for word in range(room.ranges.shape[0]):
-        for row in range(room.ranges[word, 0], room.ranges[word, 1]):
-            room.bits[word, row] = 0
+        room.bits[word][room.ranges[word, 0] : room.ranges[word, 1]] = 0
         room.ranges[word, 0], room.ranges[word, 1] = room.bits.shape[1] - 1, 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_up(room, columns):
+def _add_up(room):
     """Sweep all changes; False where a pixel may lie under more layers than a byte can count, and nothing is drawn."""
     rows = room.changes.shape[1] - 1
     most = 0
     for word in range(room.ranges.shape[0]):
         if room.ranges[word, 0] < room.ranges[word, 1]:
-            for column in range(64 * word, min(64 * (word + 1), columns)):
-                most = max(most, np.int64(room.raised[column]))
-                room.raised[column] = 0
+            of_column = 0
+            for column in range(65):
+                of_column += room.raised[word, column]
+                most = max(most, of_column)
+            room.raised[word] = 0
     for word in range(room.ranges.shape[0]):
         first, last = room.ranges[word, 0], min(room.ranges[word, 1], rows + 1)
         if first >= last:
             continue
         if most < 256:
-            _sweep(room.changes[word, first:].ctypes.data, room.bits[word, first:].ctypes.data, last - first)
+            sweep(room.changes[word, first:].ctypes.data, room.bits[word, first:].ctypes.data, last - first)
         else:
             room.changes[word, first:last] = 0
     return most < 256
@@ -306,6 +290,6 @@ def draw_scene(pixels_from_world, world_from_cad, bodies, columns, room):
         if not nearest > 0.0:
             break
         body += 1
-        if body == world_from_cad.shape[0] and has_closed and by_contour and not _add_up(room, columns):
+        if body == world_from_cad.shape[0] and has_closed and by_contour and not _add_up(room):
             body, by_contour = 0, False  # once more, face by face
     return nearest

@@ -12,68 +12,106 @@ from screwpose.projection.kernels import count_bits, lowest_bit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure(bits, ranges, region, beside, below, metal, sums):
-    """What the loss and the Dice score need of a mask.
+def score_mask(bits, ranges, beside, below, metal, sums, gradient_norm, metal_area):
+    """Loss and Dice score of a mask.
 
     Parameters
     ----------
-    bits : (words, rows or more), the mask.
+    bits : (words, rows + 1), the mask, of pixels that count; the last row is 0.
     ranges : (words, 2), the first row and the last (not included) of each block that may hold a bit.
-    region, metal : (words, rows), the pixels that count, and the segmented implants among them.
     beside, below : (words, rows), where a pixel and its left neighbour, or the one below, both count.
-    sums : (words + 1, rows, 64), the adjoint summed along each row: that of the columns before ``64 w + k``.
-
-    Returns
-    -------
-    The sum of the adjoint under the mask, how many differences are not zero, the mask's area, and that of its metal.
+    metal : (words, rows), the segmented implants among the pixels that count.
+    sums : (words, 65, rows), the adjoint summed along each row: of the columns ``64 w`` to ``64 w + k``, not included.
+    gradient_norm, metal_area : ``sqrt(sum |D I|^2)``, and how many pixels are metal.
     """
-    words, rows = region.shape
-    one, zero, last_bit = np.uint64(1), np.uint64(0), np.uint64(63)
-    correlation, transitions, area, common = 0.0, zero, zero, zero
-    nothing = np.zeros(rows, dtype=np.uint64)
-    first_carry, last_carry = rows, 0  # the rows in which the block before reaches this one
+    words, rows = beside.shape
+    nothing = np.zeros(rows + 1, dtype=np.uint64)
+    correlation = 0.0
+    transitions, area, common = np.uint64(0), np.uint64(0), np.uint64(0)
     for word in range(words):
-        first, last = min(ranges[word, 0], first_carry), min(max(ranges[word, 1], last_carry), rows)
-        first_carry, last_carry = rows, 0
-        own, counting, left, is_left = bits[word], region[word], nothing, nothing
+        first, last = ranges[word, 0], min(ranges[word, 1], rows)
+        if first >= last:
+            continue
+        own, left, right, beside_right = bits[word], nothing, nothing, nothing
         if word > 0:
-            left, is_left = bits[word - 1], region[word - 1]
-        own_metal, own_beside, own_below, own_sums = metal[word], beside[word], below[word], sums[word]
-        above = zero
-        for row in range(np.uint64(first), np.uint64(last)):  # unsigned: an index that cannot be negative is cheaper
-            mask = own[row] & counting[row]
-            carry = (left[row] & is_left[row]) >> last_bit
-            if mask | above | carry == zero:
-                continue
-            if row > 0:
-                transitions += count_bits((mask ^ above) & own_below[row - one])
-            above = mask
-            shifted = (mask << one) | carry
-            transitions += count_bits((mask ^ shifted) & own_beside[row])
-            area += count_bits(mask)
-            common += count_bits(mask & own_metal[row])
-            begins, ends = mask & ~shifted, shifted & ~mask
-            while begins != zero:
-                correlation -= own_sums[row, lowest_bit(begins)]
-                begins &= begins - one
-            while ends != zero:
-                correlation += own_sums[row, lowest_bit(ends)]
-                ends &= ends - one
-            if mask >> last_bit != zero:
-                first_carry, last_carry = min(first_carry, np.int64(row)), np.int64(row) + 1
-        if first < last and last < rows:
-            transitions += count_bits(above & own_below[last - 1])
-    for row in range(first_carry, last_carry):  # up to the image's border, which is the end of a word here
-        if (bits[words - 1, row] & region[words - 1, row]) >> last_bit != zero:
-            correlation += sums[words, row, 0]
-    return correlation, np.int64(transitions), np.int64(area), np.int64(common)
+            left = bits[word - 1]
+        if word + 1 < words:
+            right, beside_right = bits[word + 1], beside[word + 1]
+        if first > 0:
+            transitions += count_bits(own[first] & below[word, first - 1])
+        counts = _count(
+            own[first:last], own[first + 1 : last + 1], left[first:last], right[first:last],
+            beside[word][first:last], beside_right[first:last], below[word][first:last], metal[word][first:last],
+        )  # fmt: skip
+        transitions, area, common = transitions + counts[0], area + counts[1], common + counts[2]
+        correlation += _correlation(own[first:last], sums[word], first)
+    norm = np.sqrt(np.float64(transitions)) * gradient_norm
+    covered = np.float64(area) + metal_area
+    return -correlation / norm if norm > 0.0 else 0.0, 2.0 * common / covered if covered > 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_scenes(
-    pixels_from_world, world_from_cad, bodies, room, columns, region, beside, below, metal, sums, correlation, counts
+def _count(own, next_row, left, right, beside, beside_right, below, metal):
+    """How many differences of a block's mask are not zero, its area, and that of its metal; see `score_mask`.
+
+    A difference between two blocks belongs to that of the two which has the bit. No branches: eight rows at once.
+    """
+    one, last_bit = np.uint64(1), np.uint64(63)
+    transitions, area, common = np.uint64(0), np.uint64(0), np.uint64(0)
+    for row in range(len(own)):
+        mask = own[row]
+        across = (mask ^ (mask << one)) & ~(left[row] >> last_bit) & beside[row]
+        past_the_block = (mask >> last_bit) & ~right[row] & beside_right[row]
+        transitions += count_bits(across) + past_the_block + count_bits((mask ^ next_row[row]) & below[row])
+        area += count_bits(mask)
+        common += count_bits(mask & metal[row])
+    return transitions, area, common
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _correlation(own, sums, first):
+    """The adjoint under a block's mask, whose rows begin at `first`: over runs that all end with the block, at bit 64.
+
+    No branch for the first run of a row (an empty one goes from 64 to 64), and sums in any order the compiler likes,
+    always the same: several rows at once. Further runs are rare.
+    """
+    one = np.uint64(1)
+    plane = np.uint64(sums.shape[1])
+    flat = sums.reshape(-1)[first:]  # a plane a bit: the runs of neighbouring rows begin side by side in memory
+    total = 0.0
+    for row in range(np.uint64(len(own))):  # unsigned: an index that cannot be negative is cheaper
+        mask = own[row]
+        begin, end = lowest_bit(mask & ~(mask << one)), lowest_bit((mask << one) & ~mask)
+        total += flat[end * plane + row] - flat[begin * plane + row]
+    for row in range(np.uint64(len(own))):
+        mask = own[row]
+        begins, ends = mask & ~(mask << one), (mask << one) & ~mask
+        begins &= begins - one
+        while begins != 0:
+            ends &= ends - one
+            total += flat[lowest_bit(ends) * plane + row] - flat[lowest_bit(begins) * plane + row]
+            begins &= begins - one
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def score_scenes(
+    pixels_from_world,
+    world_from_cad,
+    bodies,
+    room,
+    columns,
+    counting,
+    beside,
+    below,
+    metal,
+    sums,
+    gradient_norm,
+    metal_area,
+    loss,
+    dice,
 ):
-    """Draw and measure many scenes in one view.
+    """Draw and score many scenes in one view.
 
     Parameters
     ----------
@@ -82,9 +120,9 @@ def measure_scenes(
     bodies : `contour.Bodies`.
     room : of `room_for`, clear; left so, but where a scene is not in front of the source.
     columns : of the image.
-    region, beside, below, metal, sums : see `measure`.
-    correlation : (K,), filled: the sum of the adjoint under each mask.
-    counts : (K, 3), filled: transitions, area, common.
+    counting : (words, rows), the pixels that count.
+    beside, below, metal, sums, gradient_norm, metal_area : see `score_mask`.
+    loss, dice : (K,), filled.
 
     Returns
     -------
@@ -95,11 +133,22 @@ def measure_scenes(
         nearest = min(nearest, draw_scene(pixels_from_world, world_from_cad[scene], bodies, columns, room))
         if not nearest > 0.0:
             break
-        correlation[scene], counts[scene, 0], counts[scene, 1], counts[scene, 2] = measure(
-            room.bits, room.ranges, region, beside, below, metal, sums
+        for word in range(counting.shape[0]):
+            first, last = room.ranges[word, 0], min(room.ranges[word, 1], counting.shape[1])
+            if first < last:
+                _leave(room.bits[word][first:last], counting[word][first:last])
+        loss[scene], dice[scene] = score_mask(
+            room.bits, room.ranges, beside, below, metal, sums, gradient_norm, metal_area
         )
         clear(room)
     return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leave(bits, counting):
+    """Take away the bits of pixels that do not count."""
+    for row in range(len(bits)):
+        bits[row] &= counting[row]
 
 
 @njit(cache=True, nogil=True)

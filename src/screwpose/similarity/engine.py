@@ -68,15 +68,15 @@ class SceneEngine:
             A vertex is not in front of a source.
         """
         poses = np.ascontiguousarray(world_from_cad, dtype=np.float64)
-        loss, overlap = (np.empty((len(poses), len(self._views))) for _ in range(2))
+        loss, dice = np.empty((2, len(self._views), len(poses)))
 
         def score(part: slice) -> None:
             for index in range(len(self._views)):
-                loss[part, index], overlap[part, index] = self._score(index, poses[part])
+                self._score(index, poses[part], loss[index, part], dice[index, part])
 
         parts = [slice(*ends) for ends in _even_parts(len(poses), self._threads)]
         in_threads(score, parts)
-        return EngineScores(loss, overlap)
+        return EngineScores(loss.T, dice.T)
 
     def mask(self, world_from_cad: FloatArray, view_name: str) -> BoolArray:
         """The pixels (rows, columns) that one scene (B, 4, 4) covers in a view, whether they count or not.
@@ -100,23 +100,17 @@ class SceneEngine:
             room: Room = room_for(self._bodies, *self._views[view][1].shape)
             return room
 
-    def _score(self, view: int, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        from screwpose.similarity.bitrow_kernels import measure_scenes
+    def _score(self, view: int, poses: FloatArray, loss: FloatArray, dice: FloatArray) -> None:
+        from screwpose.similarity.bitrow_kernels import score_scenes
 
-        correlation, counts = np.zeros(len(poses)), np.zeros((len(poses), 3), dtype=np.int64)
         camera, target = self._views[view]
         rows, room = target.rows, self._room(view)
-        nearest_mm = measure_scenes(
+        nearest_mm = score_scenes(
             camera.projection, poses, self._bodies, room, target.shape[1], rows.counting, rows.beside, rows.below,
-            self._metals[view], rows.sums, correlation, counts,
+            self._metals[view], rows.sums, target.gradient_norm, self._metal_areas[view], loss, dice,
         )  # fmt: skip
         check_in_front(nearest_mm)
         self._rooms[view].append(room)
-        transitions, area, common = counts.T
-        norm = np.sqrt(transitions) * target.gradient_norm
-        loss = -correlation / np.where(norm > 0.0, norm, 1.0) * (norm > 0.0)
-        covered = area + self._metal_areas[view]
-        return loss, 2.0 * common / np.maximum(covered, 1)
 
 
 def _even_parts(count: int, parts: int) -> list[tuple[int, int]]:

@@ -100,15 +100,14 @@ def score_rows(target: Target, mask: BitRows, metal: BitRows | None = None) -> V
     ----------
     metal : what the Dice score compares the mask with, the target's own by default.
     """
-    from screwpose.similarity.bitrow_kernels import measure
+    from screwpose.similarity.bitrow_kernels import score_mask
 
     rows, metal = target.rows, target.metal_rows if metal is None else metal
+    bits = np.zeros((mask.shape[1], mask.shape[0] + 1), dtype=np.uint64)
+    bits[:, :-1] = (mask & rows.region).T
     ranges = np.tile(np.array([0, mask.shape[0]]), (mask.shape[1], 1))
-    correlation, transitions, area, common = measure(
-        in_blocks(mask), ranges, rows.counting, rows.beside, rows.below, in_blocks(metal), rows.sums
+    metal_area = int(np.bitwise_count(metal).sum())
+    loss, score = score_mask(
+        bits, ranges, rows.beside, rows.below, in_blocks(metal), rows.sums, target.gradient_norm, metal_area
     )
-    norm = float(np.sqrt(transitions)) * target.gradient_norm
-    covered = int(area) + int(np.bitwise_count(metal).sum())
-    return ViewScore(
-        dice=2.0 * int(common) / covered if covered else 0.0, loss=-float(correlation) / norm if norm > 0.0 else 0.0
-    )
+    return ViewScore(dice=score, loss=loss)

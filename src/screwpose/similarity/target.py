@@ -20,14 +20,14 @@ Window = tuple[slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class TargetRows:
-    """A target as the kernels want it, in blocks of 64 columns; see `bitrow_kernels.measure`.
+    """A target as the kernels want it, in blocks of 64 columns; see `bitrow_kernels.score_mask`.
 
     Parameters
     ----------
     region : (rows, words), the pixels that count, as bit rows.
     counting : (words, rows), the same in blocks.
     beside, below : (words, rows), where a pixel and its left neighbour, or the one below, both count.
-    sums : (words + 1, rows, 64), the adjoint of the columns before each one, summed along the row.
+    sums : (words, 65, rows), the adjoint of the columns of a block before each one, and of all, summed along the row.
     """
 
     region: BitRows
@@ -68,10 +68,11 @@ class Target:
         below[:-1] = region[1:] & region[:-1]
         bits = packed(region)
         rows, words = bits.shape
-        sums = np.zeros((rows, 64 * (words + 1)))
-        np.cumsum(self.adjoint, axis=1, out=sums[:, 1 : region.shape[1] + 1])
-        by_block = np.ascontiguousarray(sums.reshape(rows, words + 1, 64).transpose(1, 0, 2))
-        return TargetRows(bits, in_blocks(bits), in_blocks(packed(beside)), in_blocks(packed(below)), by_block)
+        columns = np.zeros((64 * words, rows))
+        columns[: region.shape[1]] = self.adjoint.T
+        sums = np.zeros((words, 65, rows))
+        np.cumsum(columns.reshape(words, 64, rows), axis=1, out=sums[:, 1:])
+        return TargetRows(bits, in_blocks(bits), in_blocks(packed(beside)), in_blocks(packed(below)), sums)
 
     @cached_property
     def metal_rows(self) -> BitRows:
