@@ -7,17 +7,34 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from screwpose.errors import InputError
+
+VARIABLE = "SCREWPOSE_THREADS"
+
 _Item = TypeVar("_Item")
 _Value = TypeVar("_Value")
 _is_inside = threading.local()
 
 
 def available_threads() -> int:
-    """How many threads this process may run at once: $SCREWPOSE_THREADS, else one for each of its processors."""
-    wanted = os.environ.get("SCREWPOSE_THREADS", "")
-    if wanted.isdigit() and int(wanted) > 0:
-        return int(wanted)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many threads this process may run at once: $SCREWPOSE_THREADS, else one for each of its processors.
+
+    Raises
+    ------
+    InputError
+        The variable is set and is no positive integer.
+    """
+    wanted = os.environ.get(VARIABLE, "").strip()
+    if not wanted:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not wanted.isdecimal() or int(wanted) < 1:
+        raise InputError(
+            f"the environment variable is {wanted!r}",
+            field=VARIABLE,
+            expected="a positive integer, the number of threads to use",
+            remedy="Set it to one, as in `SCREWPOSE_THREADS=2`, or unset it to use all processors.",
+        )
+    return int(wanted)
 
 
 def in_threads(
@@ -32,8 +49,8 @@ def in_threads(
     give_up : called at an error or interrupt, before the threads that still run are waited for: it may tell them.
     """
     todo = list(items)
-    threads = min(available_threads(), len(todo))
-    if threads < 2 or getattr(_is_inside, "value", False):
+    threads = 1 if len(todo) < 2 or getattr(_is_inside, "value", False) else min(available_threads(), len(todo))
+    if threads < 2:
         return [function(item) for item in todo]
 
     def inside(item: _Item) -> _Value:

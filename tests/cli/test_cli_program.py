@@ -160,6 +160,20 @@ def test_an_error_for_machines_is_one_json_object(case: CaseFolder, command: str
         assert (told["errors"], told["warnings"]) == (1, 0)
 
 
+@pytest.mark.parametrize("command", ["check", "solve", "bench"])
+def test_a_number_of_threads_that_is_none_is_one_error(
+    case: CaseFolder, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SCREWPOSE_THREADS", "many")
+    given = {"check": [case.folder], "solve": [case.folder, "-o", "out"], "bench": ["--set", "pairs", "-o", "out"]}
+    result = program(command, *given[command])
+    assert result.exit_code == 3
+    told = " ".join(result.output.split())
+    assert "SCREWPOSE_THREADS: the environment variable is 'many'; expected a positive integer" in told
+    assert "Traceback" not in told
+    assert not Path("out").exists()
+
+
 def test_an_output_error_for_machines(case: CaseFolder) -> None:
     Path("out").write_text("a file")
     result = program("solve", case.folder, "-o", "out", "--json")

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "src" / "screwpose"
 
 FLOORS = {
-    "errors": 0,
+    "errors": -1,  # below all, also below what is on floor 0 with it
     "_compiling": 0,
     "_threads": 0,
     "_types": 0,

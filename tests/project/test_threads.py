@@ -1,10 +1,12 @@
 """Threads give what a loop gives."""
 
+import re
 import threading
 
 import pytest
 
 from screwpose._threads import available_threads, in_threads
+from screwpose.errors import InputError
 
 
 def test_order_errors_and_no_threads_within_threads(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,5 +36,15 @@ def test_order_errors_and_no_threads_within_threads(monkeypatch: pytest.MonkeyPa
 def test_one_thread_is_a_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SCREWPOSE_THREADS", "1")
     assert set(in_threads(lambda _: threading.get_ident(), range(5))) == {threading.get_ident()}
-    monkeypatch.setenv("SCREWPOSE_THREADS", "many")
+    monkeypatch.setenv("SCREWPOSE_THREADS", "")
     assert available_threads() >= 1
+
+
+@pytest.mark.parametrize("wanted", ["many", "0", "-2", "2.5", "\N{SUPERSCRIPT TWO}"])
+def test_a_number_of_threads_that_is_none_is_an_error(wanted: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCREWPOSE_THREADS", wanted)
+    says = f"SCREWPOSE_THREADS: the environment variable is {wanted!r}; expected a positive integer.*unset it"
+    with pytest.raises(InputError, match=re.escape(says).replace(r"\.\*", ".*")):
+        available_threads()
+    with pytest.raises(InputError, match="SCREWPOSE_THREADS"):
+        in_threads(abs, [1, 2])

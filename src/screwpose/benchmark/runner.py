@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from screwpose._threads import available_threads
 from screwpose.benchmark.gate import check_against, read_baseline
 from screwpose.benchmark.record import CaseRecord
 from screwpose.benchmark.request import BenchRequest, sets_of
@@ -77,10 +78,12 @@ def run_bench(
     Raises
     ------
     InputError
-        What every case needs is not there: a set's data, a scheduler, the same program on the workers.
+        What every case needs is not there: a set's data, a scheduler, the same program on the workers, a number of
+        threads.
     OutputError
         The folder cannot be written, holds something else, or another run.
     """
+    available_threads()  # a setting that is wrong is wrong for every case
     sets = sets_of(request)
     before = None if baseline is None else read_baseline(baseline)
     with opened(Path(out), request, resume) as folder:
