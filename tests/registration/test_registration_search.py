@@ -1,14 +1,20 @@
 """Differential evolution on scenes that the same projection drew: the true pose is known exactly."""
 
+from dataclasses import fields
+from typing import get_type_hints
+
 import numpy as np
 import pytest
 
 from screwpose.errors import CancelledError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants.model import Implant, Mesh
+from screwpose.pairing.thickness import Quality, refine_by_thickness, settle_by_thickness
 from screwpose.projection import opencv
 from screwpose.registration import (
+    Registered,
     SearchOptions,
+    SearchResult,
     drawn_losses,
     moved,
     moved_by_each,
@@ -113,6 +119,13 @@ def test_a_start_too_far_off_ends_at_a_bound_and_says_so() -> None:
     tight = SearchOptions(generations=30, population=6, max_shift_mm=4.0, max_tilt_deg=1.0, max_roll_deg=1.0)
     found = found_by([off], targets, tight)
     assert found.at_bound == (True,)
+
+
+def test_only_a_search_by_loss_has_a_loss() -> None:
+    assert [field.name for field in fields(Registered)] == ["world_from_cad", "at_bound"]
+    assert issubclass(SearchResult, Registered)
+    for fit in (refine_by_thickness, settle_by_thickness):  # it used to be minus the mean of the explained energy
+        assert get_type_hints(fit)["return"] == tuple[Registered, Quality]
 
 
 def test_two_screws_are_registered_together() -> None:

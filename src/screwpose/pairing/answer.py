@@ -32,7 +32,7 @@ from screwpose.pairing.hypotheses import Combination
 from screwpose.pairing.landmark_fit import landmark_offsets_px
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.pairing.thickness import Quality
-from screwpose.registration import SearchResult
+from screwpose.registration import Registered
 from screwpose.registration.alternatives import SAME_SHIFT_MM, SAME_TURN_DEG, Rival
 from screwpose.similarity import SceneScore
 
@@ -68,7 +68,7 @@ class Trial:
     probability: float
     placed: Poses
     pre: SceneScore
-    found: SearchResult | None = None
+    found: Registered | None = None
     post: SceneScore | None = None
     quality: Quality | None = None
 

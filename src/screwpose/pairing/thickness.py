@@ -20,7 +20,7 @@ from screwpose.pairing.cameras import CamerasFit, are_free, fit_cameras
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
-from screwpose.registration import Progress, SearchResult
+from screwpose.registration import Progress, Registered
 from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, compared_again, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
@@ -124,7 +124,7 @@ def refine_by_thickness(
     poses: Poses,
     noise: LandmarkNoise,
     progress: Progress | None = None,
-) -> tuple[SearchResult, Quality]:
+) -> tuple[Registered, Quality]:
     """Register the screws of a combination together, from where they were placed; and the cameras, where they may.
 
     Where cameras are held the finest stage is left to `settle_by_thickness`.
@@ -147,10 +147,10 @@ def settle_by_thickness(
     case: Case,
     thickness: Thickness,
     combination: Combination,
-    found: SearchResult,
+    found: Registered,
     noise: LandmarkNoise,
     progress: Progress | None = None,
-) -> tuple[SearchResult, Quality]:
+) -> tuple[Registered, Quality]:
     """Try other turns of a registered combination's screws, and end on the sharpest images: for the chosen one."""
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
@@ -191,11 +191,11 @@ def _judged(
     fit: ScaleFit,
     noise: LandmarkNoise,
     cameras: CamerasFit | None = None,
-) -> tuple[SearchResult, Quality]:
+) -> tuple[Registered, Quality]:
     finest = thickness.targets[thickness.stages[-1][0]]
-    found, energies, chi_square, marks = fit.world_from_cad, fit.linearised.energies, 0.0, 0
+    found, chi_square, marks = fit.world_from_cad, 0.0, 0
     if cameras is not None:
-        found, energies, chi_square = cameras.world_from_cad, cameras.energies, cameras.chi_square
+        found, chi_square = cameras.world_from_cad, cameras.chi_square
         finest, bodies = cameras.seen(finest), [cameras.marked(body) for body in bodies]
     for body, pose in zip(bodies, found, strict=True):
         assert body.marks is not None
@@ -204,7 +204,7 @@ def _judged(
         marks += len(residuals)
     shares = energies_of_each(finest, bodies, found)
     of_each = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
-    result = SearchResult(found, -float(np.mean(energies)), 0, (False,) * len(bodies))
+    result = Registered(found, (False,) * len(bodies))
     rivals = _undecided(bodies, fit.rivals) if isinstance(fit, RecipeFit) else ()
     return result, Quality(of_each, chi_square, marks, rivals, cameras)
 

@@ -5,6 +5,7 @@ from screwpose.registration.drawing import drawn_losses, search_window, search_w
 from screwpose.registration.initial import AxialSearch, align, axial_search, turned
 from screwpose.registration.search import (
     Progress,
+    Registered,
     SceneLosses,
     SearchOptions,
     SearchResult,
@@ -18,6 +19,7 @@ __all__ = [
     "FarFit",
     "FarXrays",
     "Progress",
+    "Registered",
     "SceneLosses",
     "SearchOptions",
     "SearchResult",

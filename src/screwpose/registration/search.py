@@ -53,22 +53,32 @@ class SearchOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class SearchResult:
-    """Where the search ended.
+class Registered:
+    """Where the screws of a combination came to rest, by whatever way.
 
     Parameters
     ----------
     world_from_cad : one pose (4, 4) a screw.
-    loss : mean gradient correlation loss over the views.
-    evaluations : how many scenes were projected.
     at_bound : for each screw, whether a degree of freedom ended in the last tenth before its bound: the start was
-        too far off, or the loss drew it away.
+        too far off, or the loss drew it away. False where nothing has bounds.
     """
 
     world_from_cad: tuple[FloatArray, ...]
+    at_bound: tuple[bool, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult(Registered):
+    """Where the search ended.
+
+    Parameters
+    ----------
+    loss : mean gradient correlation loss over the views.
+    evaluations : how many scenes were projected.
+    """
+
     loss: float
     evaluations: int
-    at_bound: tuple[bool, ...]
 
 
 def bounds_rad_mm(options: SearchOptions) -> FloatArray:
@@ -164,4 +174,4 @@ def register(
     )
     near_bound = (np.abs(found.x) > _NEAR_BOUND * limits).reshape(-1, 6)
     at_bound = tuple(bool(of_screw.any()) for of_screw in near_bound)
-    return SearchResult(tuple(poses(found.x[:, None])[0]), float(found.fun), int(found.nfev), at_bound)
+    return SearchResult(tuple(poses(found.x[:, None])[0]), at_bound, float(found.fun), int(found.nfev))
