@@ -14,7 +14,8 @@ from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, Mesh, ScrewDesign, make_screw
 from screwpose.implants.mesh import reduced
 from screwpose.projection import opencv, reference
-from screwpose.projection.silhouette import is_closed_surface, packed
+from screwpose.projection.contour import closed_surface
+from screwpose.projection.silhouette import packed
 from screwpose.projection.thickness import path_lengths
 from screwpose.registration.search import SearchOptions, bounds_rad_mm, moved_by_each
 from screwpose.similarity import Posed, SceneEngine, Target, dice, make_target, union_mask
@@ -68,7 +69,7 @@ def screw(faces: int | None) -> Implant:
     while len(mesh.faces) < faces:
         mesh = split_in_four(mesh)
     mesh = reduced(mesh, faces)
-    assert is_closed_surface(mesh.faces), f"{len(mesh.faces)} faces are not closed"
+    assert closed_surface(mesh.vertices_mm, mesh.faces) is not None, f"{len(mesh.faces)} faces are not closed"
     return Implant(implant.name, mesh, implant.tip_mm, implant.center_mm)
 
 

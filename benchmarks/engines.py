@@ -210,25 +210,24 @@ def along_triangles(plan: Plan, _: list[str]) -> Iterator[list[Timed]]:
 def along_pixels(plan: Plan, _: list[str]) -> Iterator[list[Timed]]:
     """Against the side of the image."""
     for pixels in (256, 512) if plan.quick else _PIXELS:
-        scene = rivals.make_scene(2000, pixels=pixels, candidates=8 if plan.quick else 40)
-        jobs = {
-            "ours": ours(scene),
-            "lower bound": (rivals.LowerBound(scene), len(scene.poses)),
-            "OpenCV, a call a triangle": painted(scene, rivals.opencv_triangles(scene)),
-        }
-        yield take_turns("pixels", pixels, jobs, plan.rounds, clock=plan.clock)
+        yield beside_rivals("pixels", pixels, plan, pixels=pixels)
 
 
 def along_screws(plan: Plan, _: list[str]) -> Iterator[list[Timed]]:
     """Against the number of screws in the image."""
     for screws in (1, 2) if plan.quick else _SCREWS:
-        scene = rivals.make_scene(2000, screws=screws, candidates=8 if plan.quick else 40)
-        jobs = {
-            "ours": ours(scene),
-            "lower bound": (rivals.LowerBound(scene), len(scene.poses)),
-            "OpenCV, a call a triangle": painted(scene, rivals.opencv_triangles(scene)),
-        }
-        yield take_turns("screws", screws, jobs, plan.rounds, clock=plan.clock)
+        yield beside_rivals("screws", screws, plan, screws=screws)
+
+
+def beside_rivals(block: str, at: float, plan: Plan, **of_scene: int) -> list[Timed]:
+    """Screws of 2,000 faces by us, the lower bound and OpenCV."""
+    scene = rivals.make_scene(2000, candidates=8 if plan.quick else 40, **of_scene)
+    jobs = {
+        "ours": ours(scene),
+        "lower bound": (rivals.LowerBound(scene), len(scene.poses)),
+        "OpenCV, a call a triangle": painted(scene, rivals.opencv_triangles(scene)),
+    }
+    return take_turns(block, at, jobs, plan.rounds, clock=plan.clock)
 
 
 def along_threads(plan: Plan, _: list[str]) -> Iterator[list[Timed]]:

@@ -6,7 +6,8 @@ import pytest
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import ScrewDesign, make_screw
 from screwpose.projection import reference
-from screwpose.projection.silhouette import is_closed_surface, packed, silhouette, silhouette_bits, unpacked
+from screwpose.projection.contour import closed_surface
+from screwpose.projection.silhouette import packed, silhouette, silhouette_bits, unpacked
 
 ONE = np.array([[0, 1, 2]])
 
@@ -39,7 +40,7 @@ def test_random_triangles(columns: int) -> None:
 def test_posed_screws_from_both_sides_and_one() -> None:
     rng = np.random.default_rng(5)
     mesh = make_screw(ScrewDesign(segments=16, slot_lengths_mm=(30.0, 24.0), tower_length_mm=50.0)).mesh
-    assert is_closed_surface(mesh.faces)
+    assert closed_surface(mesh.vertices_mm, mesh.faces) is not None
     camera = Camera.from_matrix(np.array([[600.0, 0, 100, 0], [0, 600.0, 80, 0], [0, 0, 1, 0]]))
     for _ in range(4):
         pose = np.eye(4)
@@ -71,10 +72,3 @@ def test_bits_are_where_the_docstring_says() -> None:
     assert bits.shape == (2, 3)
     assert [int(word) for word in bits[1]] == [1 | 1 << 63, 1, 2]
     np.testing.assert_array_equal(unpacked(bits, 130), mask)
-
-
-def test_a_surface_is_closed_only_if_every_edge_is_shared_both_ways() -> None:
-    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    assert is_closed_surface(tetrahedron)
-    assert not is_closed_surface(tetrahedron[:3])
-    assert not is_closed_surface(np.vstack([tetrahedron[:3], tetrahedron[3:, ::-1]]))

@@ -56,6 +56,21 @@ def set_run(bits, row, left, right):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def upright(xa, ya, xb, yb, xc, yc):
+    """A triangle's corners from the top down, and the slopes of its long edge and of its two short ones."""
+    if yb < ya:
+        xa, ya, xb, yb = xb, yb, xa, ya
+    if yc < ya:
+        xa, ya, xc, yc = xc, yc, xa, ya
+    if yc < yb:
+        xb, yb, xc, yc = xc, yc, xb, yb
+    long_slope = (xc - xa) / (yc - ya) if yc > ya else 0.0
+    upper_slope = (xb - xa) / (yb - ya) if yb > ya else 0.0
+    lower_slope = (xc - xb) / (yc - yb) if yc > yb else 0.0
+    return xa, ya, xb, yb, yc, long_slope, upper_slope, lower_slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def fill(u, v, faces, one_sided, bits, columns):
     """Set the bits of every pixel whose centre lies in or on the edge of a triangle.
 
@@ -74,18 +89,10 @@ def fill(u, v, faces, one_sided, bits, columns):
         doubled_area = (xb - xa) * (yc - ya) - (yb - ya) * (xc - xa)
         if doubled_area == 0.0 or (one_sided and doubled_area < 0.0):
             continue
-        if yb < ya:
-            xa, ya, xb, yb = xb, yb, xa, ya
-        if yc < ya:
-            xa, ya, xc, yc = xc, yc, xa, ya
-        if yc < yb:
-            xb, yb, xc, yc = xc, yc, xb, yb
-        first, last = max(math.ceil(ya), 0), min(math.floor(yc), rows - 1)
+        first, last = max(math.ceil(min(ya, yb, yc)), 0), min(math.floor(max(ya, yb, yc)), rows - 1)
         if first > last:
             continue
-        long_slope = (xc - xa) / (yc - ya)
-        upper_slope = (xb - xa) / (yb - ya) if yb > ya else 0.0
-        lower_slope = (xc - xb) / (yc - yb) if yc > yb else 0.0
+        xa, ya, xb, yb, _, long_slope, upper_slope, lower_slope = upright(xa, ya, xb, yb, xc, yc)
         for row in range(first, last + 1):
             on_long = xa + (row - ya) * long_slope
             on_short = xa + (row - ya) * upper_slope if row < yb else xb + (row - yb) * lower_slope

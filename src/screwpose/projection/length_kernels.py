@@ -10,6 +10,8 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
+from screwpose.projection.kernels import upright
+
 Drawn = namedtuple(
     "Drawn",
     ["first_row", "row_start", "first_column", "last_column", "offset", "lengths_mm", "by_motion", "nearest_mm"],
@@ -57,21 +59,6 @@ def to_camera(camera_from_cad, intrinsics, vertices_mm, points_mm, u, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _upright(xa, ya, xb, yb, xc, yc):
-    """A triangle's corners from the top down, and the slopes of its long edge and of its two short ones."""
-    if yb < ya:
-        xa, ya, xb, yb = xb, yb, xa, ya
-    if yc < ya:
-        xa, ya, xc, yc = xc, yc, xa, ya
-    if yc < yb:
-        xb, yb, xc, yc = xc, yc, xb, yb
-    long_slope = (xc - xa) / (yc - ya) if yc > ya else 0.0
-    upper_slope = (xb - xa) / (yb - ya) if yb > ya else 0.0
-    lower_slope = (xc - xb) / (yc - yb) if yc > yb else 0.0
-    return xa, ya, xb, yb, yc, long_slope, upper_slope, lower_slope
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _find_spans(u, v, faces, bounds, first_column, last_column):
     """The columns that the faces cover in each row of `bounds` (first row, its end, first column, its end)."""
     for face in range(faces.shape[0]):
@@ -80,7 +67,7 @@ def _find_spans(u, v, faces, bounds, first_column, last_column):
         begin, end = max(math.ceil(top), bounds[0]), min(math.ceil(bottom), bounds[1])
         if begin >= end:
             continue
-        xa, ya, xb, yb, _, long_slope, upper_slope, lower_slope = _upright(u[a], v[a], u[b], v[b], u[c], v[c])
+        xa, ya, xb, yb, _, long_slope, upper_slope, lower_slope = upright(u[a], v[a], u[b], v[b], u[c], v[c])
         for y in range(begin, end):
             on_long = xa + (y - ya) * long_slope
             on_short = xa + (y - ya) * upper_slope if y < yb else xb + (y - yb) * lower_slope
@@ -125,7 +112,7 @@ def _add_depths(
         distance = nx * ax + ny * ay + nz * az
         if distance == 0.0:
             continue
-        xa, ya, xb, yb, _, long_slope, upper_slope, lower_slope = _upright(u[a], v[a], u[b], v[b], u[c], v[c])
+        xa, ya, xb, yb, _, long_slope, upper_slope, lower_slope = upright(u[a], v[a], u[b], v[b], u[c], v[c])
         near = min(az, points_mm[b, 2], points_mm[c, 2])
         far = max(az, points_mm[b, 2], points_mm[c, 2])
         sign = 1.0 if distance > 0.0 else -1.0

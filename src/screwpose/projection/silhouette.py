@@ -93,12 +93,3 @@ def unpacked(bits: BitRows, columns: int) -> BoolArray:
     """Bit rows as a mask (rows, columns)."""
     as_bytes = bits.astype(np.dtype("<u8")).view(np.uint8)
     return np.unpackbits(as_bytes, axis=1, bitorder="little")[:, :columns].astype(np.bool_)
-
-
-def is_closed_surface(faces: IntArray) -> bool:
-    """Whether every edge belongs to as many faces one way as the other: no border, consistently wound."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    count = int(faces.max(initial=0)) + 1
-    there = np.sort(edges[:, 0] * count + edges[:, 1])
-    back = np.sort(edges[:, 1] * count + edges[:, 0])
-    return bool(np.array_equal(there, back))

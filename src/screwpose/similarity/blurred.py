@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from screwpose._types import BoolArray, FloatArray, ImageArray
-from screwpose.similarity.thickness import GradientTarget
+from screwpose.similarity.thickness import GradientTarget, cauchy_weights
 
 # Detectors of C-arms have sigmas of 0.6 to 2 px, metals attenuate by 0.2 to 0.6 a mm, and half of the variance may be
 # in the tails. The spreads are of the logarithms of the first two, and of the tail's logit. On simulated X-rays edges
@@ -37,9 +37,6 @@ _ROUND = 4.0  # of a knee: its width is its place over this
 _LONGEST_MM = 80.0
 _TABLE_MM = np.arange(0.0, _LONGEST_MM + 0.02, 0.02)
 
-_RIM_SHARE = 0.15
-_CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
-_SAMPLES = 20_000
 _RIDGE = 1e-6  # ramps resemble each other
 
 Gradients = NDArray[np.float32]
@@ -249,7 +246,6 @@ def _fitted(rows: Rows, seen: FloatArray) -> tuple[FloatArray, FloatArray, Float
 
     weights = np.ones(len(seen))
     basis: FloatArray = rows.astype(np.float64)
-    step = max(1, len(seen) // _SAMPLES)
     for _ in range(2):
         matrix, right = (basis * weights) @ basis.T, (basis * weights) @ seen
         size = np.sqrt(np.diag(matrix) + 1e-300)
@@ -258,9 +254,5 @@ def _fitted(rows: Rows, seen: FloatArray) -> tuple[FloatArray, FloatArray, Float
         response /= size
         model = response @ basis
         residuals = seen - model
-        edges = np.abs(model[::step])
-        rim = edges > _RIM_SHARE * np.percentile(edges, 99)
-        spread = 1.4826 * float(np.median(np.abs(residuals[::step][rim]))) if rim.any() else float(np.std(residuals))
-        spread = max(spread, 1e-9)
-        weights = 1.0 / (1.0 + (residuals / (_CAUCHY * spread)) ** 2)
+        weights, spread = cauchy_weights(model, residuals)
     return np.asarray(response), residuals, weights, spread

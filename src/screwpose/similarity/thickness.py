@@ -229,18 +229,23 @@ def _fitted(basis: FloatArray, image: FloatArray) -> tuple[FloatArray, FloatArra
 
     weights = np.ones(len(image))
     ridge = 1e-9 * float(np.sum(basis**2)) * np.eye(len(basis))
-    step = max(1, len(image) // SAMPLES)  # order statistics need no more
     for _ in range(REWEIGHTED):
         # The normal equations: there are five unknowns, and a hundred thousand rows.
         response, _ = nnls((basis * weights) @ basis.T + ridge, basis @ (weights * image))
         model = sum(weight * one for weight, one in zip(response, basis, strict=True))
         residuals = image - model
-        edges = np.abs(model[::step])
-        rim = edges > RIM_SHARE * np.percentile(edges, 99)
-        spread = 1.4826 * float(np.median(np.abs(residuals[::step][rim]))) if rim.any() else float(np.std(residuals))
-        spread = max(spread, 1e-9)
-        weights = 1.0 / (1.0 + (residuals / (CAUCHY * spread)) ** 2)
+        weights, spread = cauchy_weights(model, residuals)
     return np.asarray(response), residuals, weights, spread
+
+
+def cauchy_weights(model: FloatArray, residuals: FloatArray) -> tuple[FloatArray, float]:
+    """What each of N residuals counts for, and their spread: that of the model's steepest edges, the rims of metal."""
+    step = max(1, len(residuals) // SAMPLES)  # order statistics need no more
+    edges = np.abs(model[::step])
+    rim = edges > RIM_SHARE * np.percentile(edges, 99)
+    spread = 1.4826 * float(np.median(np.abs(residuals[::step][rim]))) if rim.any() else float(np.std(residuals))
+    spread = max(spread, 1e-9)
+    return 1.0 / (1.0 + (residuals / (CAUCHY * spread)) ** 2), spread
 
 
 def response_slope(response: FloatArray, lengths_mm: FloatArray) -> ImageArray:
