@@ -2,11 +2,15 @@
 
     python benchmarks/whole_case.py -o whole-case-out
     python benchmarks/whole_case.py --seed 7 --cases 5 --curve 2000 10000 50000 -o out
+    python benchmarks/whole_case.py --seed 7 --cases 5 --parts paper --opencv -o out
 
 Two-screw cases of the set `pairs`, one case of twelve screws, and one pair of screws at ever more CAD triangles (the
 models themselves, reduced or split). Every block runs in a process of its own, whose first solve is thrown away:
-compiling, and what is kept of CAD models, are told apart as `first_s`. Reading is timed beside. `engines.py` sets
-`default` against `paper`. Writes whole_case.json and whole_case.md; dev seeds are below 1000.
+compiling, and what is kept of CAD models, are told apart as `first_s`. Reading is timed beside. The part `paper` sets
+`default` against the paper's method, with its own optimiser's settings, on the same two-screw cases in one process:
+case by case they take turns, with bit rows every round, and with OpenCV (a minute or more) once, between two of
+`default`.
+Writes whole_case.json and whole_case.md; development seeds are below 1000.
 """
 
 import argparse
@@ -18,11 +22,12 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -30,6 +35,9 @@ from rich.console import Console
 from screwpose.files import ensure_can_write_folder, write_text
 from screwpose.files.case import Case
 from screwpose.implants.model import Implant, Mesh
+
+if TYPE_CHECKING:
+    from engines import Timed
 
 _CURVE = (2000, 5000, 10_000, 20_000, 50_000, 100_000, 200_000)
 _SCREWS = 12
@@ -151,15 +159,48 @@ def make_cases(folder: Path, seed: int, count: int) -> tuple[list[Path], Path]:
     return pairs, make_scene(folder / "twelve", seed, {"screws": _SCREWS})
 
 
+def beside_paper(seed: int, count: int, rounds: int, with_opencv: bool) -> Iterator[list["Timed"]]:
+    """Each case by `default` and by `paper`, in turns, here."""
+    from engines import whole_cases  # with all of its rivals: not for the processes that are measured
+
+    yield from whole_cases("pairs", seed, count, rounds, with_opencv)
+
+
+def paper_page(timings: list["Timed"]) -> str:
+    """`default` against `paper` as Markdown: each case, then the cases' ratios together."""
+    lines = ["Seconds, and times `default` in the same round: median (quartiles).", ""]
+    lines += ["| case | job | s | times `default` |", "| ---: | :--- | ---: | ---: |"]
+    for one in timings:
+        seconds = " to ".join(f"{us / 1e6:.2f}" for us in (one.us_low, one.us_high))
+        times = f"{one.ratio:.1f} ({one.ratio_low:.1f} to {one.ratio_high:.1f})"
+        lines.append(f"| {one.at:g} | {one.job} | {one.us / 1e6:.2f} ({seconds}) | {times} |")
+    lines += ["", "All cases, of each its median:", "", "| job | s | times `default` |", "| :--- | :--- | :--- |"]
+    for job in dict.fromkeys(one.job for one in timings):
+        of_job = [one for one in timings if one.job == job]
+        seconds = quartiles([one.us / 1e6 for one in of_job])
+        lines.append(f"| {job} | {seconds} | {quartiles([one.ratio for one in of_job])} |")
+    return "\n".join(lines) + "\n"
+
+
 def quartiles(values: list[float]) -> str:
     """``median (lower to upper quartile; 90 %)``."""
     low, middle, high, late = np.percentile(values, [25, 50, 75, 90])
     return f"{middle:.2f} ({low:.2f} to {high:.2f}; p90 {late:.2f})"
 
 
-def page(blocks: dict[str, dict[str, Any]], about: str) -> str:
+def page(blocks: dict[str, dict[str, Any]], timings: list["Timed"], about: str) -> str:
     """Everything as Markdown."""
-    lines = ["# Whole cases", "", about, "", "Seconds: median (quartiles; 90th percentile).", ""]
+    parts = ["# Whole cases\n", f"{about}\n"]
+    if blocks:
+        parts.append(blocks_page(blocks))
+    if timings:
+        parts += ["## `default` against `paper`\n", paper_page(timings)]
+    return "\n".join(parts)
+
+
+def blocks_page(blocks: dict[str, dict[str, Any]]) -> str:
+    """The blocks' times, steps and memory as Markdown."""
+    lines = ["Seconds: median (quartiles; 90th percentile).", ""]
     lines += ["| | solve | read | first | peak, MB | status |", "| :--- | :--- | :--- | ---: | ---: | :--- |"]
     for name, block in blocks.items():
         rows = block["records"]
@@ -181,10 +222,14 @@ def main() -> None:
     """Measure and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, default=Path("whole-case-out"))
-    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--seed", type=int, default=11, help="of the cases")
     parser.add_argument("--cases", type=int, default=6, help="of the set pairs")
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--curve", type=int, nargs="*", default=list(_CURVE), help="triangles a model")
+    parser.add_argument("--rounds", type=int, default=3, help="how often each case is solved by each method")
+    parser.add_argument("--curve", type=int, nargs="*", default=list(_CURVE), help="triangles a model; none: no curve")
+    parser.add_argument(
+        "--parts", nargs="+", choices=("blocks", "paper"), default=["blocks"], help="what is timed: by default, blocks"
+    )
+    parser.add_argument("--opencv", action="store_true", help="in the part `paper`, also with OpenCV: minutes a case")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.measure:
@@ -194,23 +239,35 @@ def main() -> None:
     ensure_can_write_folder(options.out)
     options.out.mkdir(parents=True, exist_ok=True)
     blocks: dict[str, dict[str, Any]] = {}
+    timings: list[Timed] = []
+
+    def keep() -> None:
+        told = {"about": about, "blocks": blocks, "paper": [asdict(one) for one in timings]}
+        write_text(options.out / "whole_case.json", json.dumps(told, indent=2))
+        write_text(options.out / "whole_case.md", page(blocks, timings, about))
+
     about = (
         f"Seed {options.seed}, {options.cases} cases, {options.rounds} rounds; {platform.machine()}, {os.cpu_count()} "
         f"processors, Python {platform.python_version()}, numpy {version('numpy')}, numba {version('numba')}."
     )
-    with tempfile.TemporaryDirectory() as folder:
-        pairs, twelve = make_cases(Path(folder), options.seed, options.cases)
-        plan: list[tuple[str, list[Path], int | None]] = [
-            ("two screws", pairs, None),
-            ("twelve screws", [twelve], None),
-        ]
-        plan += [(f"two screws, {faces:,} triangles a model", pairs[:1], faces) for faces in options.curve]
-        for name, paths, faces in plan:
-            blocks[name] = in_fresh_process(paths, options.rounds, faces)
-            console.print(name, quartiles([row["solve_s"] for row in blocks[name]["records"]]))
-            write_text(options.out / "whole_case.json", json.dumps({"about": about, "blocks": blocks}, indent=2))
-            write_text(options.out / "whole_case.md", page(blocks, about))
-    console.print(page(blocks, about), markup=False)
+    if "blocks" in options.parts:
+        with tempfile.TemporaryDirectory() as folder:
+            pairs, twelve = make_cases(Path(folder), options.seed, options.cases)
+            plan: list[tuple[str, list[Path], int | None]] = [
+                ("two screws", pairs, None),
+                ("twelve screws", [twelve], None),
+            ]
+            plan += [(f"two screws, {faces:,} triangles a model", pairs[:1], faces) for faces in options.curve]
+            for name, paths, faces in plan:
+                blocks[name] = in_fresh_process(paths, options.rounds, faces)
+                console.print(name, quartiles([row["solve_s"] for row in blocks[name]["records"]]))
+                keep()
+    if "paper" in options.parts:
+        for timed in beside_paper(options.seed, options.cases, options.rounds, options.opencv):
+            timings += timed
+            console.print(f"case {timed[0].at:g}:", *[f"{one.job} {one.us / 1e6:.2f} s;" for one in timed])
+            keep()
+    console.print(page(blocks, timings, about), markup=False)
 
 
 if __name__ == "__main__":
