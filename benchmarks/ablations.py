@@ -173,15 +173,18 @@ def spread(values: list[float]) -> str:
 
 def main() -> None:
     """Read the command line, solve every case with every part taken out, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--set", default="pairs")
-    parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=7)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--set", default="pairs", help="where the cases come from")
+    parser.add_argument("--count", type=int, default=20, help="cases")
+    parser.add_argument("--seed", type=int, default=7, help="of the cases")
     parser.add_argument("--only", nargs="*", help="names, or beginnings of names, of parts")
-    parser.add_argument("-o", "--output", type=Path, default=Path("ablations-out"))
+    parser.add_argument("-o", "--out", "--output", type=Path, default=Path("ablations-out"), dest="output")
     options = parser.parse_args()
-    ensure_can_write_folder(options.output)
     chosen = [part for part in parts() if not options.only or part.name.startswith(tuple(options.only))]
+    for wanted in options.only or ():
+        if not any(part.name.startswith(wanted) for part in chosen):
+            parser.error(f"--only {wanted!r}: no part begins so; there are: {'; '.join(part.name for part in parts())}")
+    ensure_can_write_folder(options.output)
     console, rows = Console(stderr=True), []
     names = [part.name for part in chosen]
     with TemporaryDirectory() as scratch, Progress(console=console) as progress:

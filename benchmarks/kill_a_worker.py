@@ -22,11 +22,11 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 def main() -> int:
     """Run twice, kill once, compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--set", default="smoke")
-    parser.add_argument("--method", default="epipolar")
-    parser.add_argument("--count", type=int, default=8)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--generations", type=int, default=60)
+    parser.add_argument("--set", default="smoke", help="where the cases come from")
+    parser.add_argument("--method", default="epipolar", help="what solves them")
+    parser.add_argument("--count", type=int, default=8, help="cases")
+    parser.add_argument("--seed", type=int, default=1, help="of the cases")
+    parser.add_argument("--generations", type=int, default=60, help="of a search by loss")
     parser.add_argument("-o", "--out", type=Path, default=Path("killed"))
     asked = parser.parse_args()
     from distributed import LocalCluster

@@ -192,7 +192,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--set", default="pairs,hard", help="sets of cases, with commas between them")
     parser.add_argument("--count", type=int, default=40, help="cases of each set")
-    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--seed", type=int, default=7, help="of the cases")
     parser.add_argument("--generations", type=int, default=SearchOptions().generations, help="of the paper's search")
     parser.add_argument("-o", "--out", type=Path, required=True)
     given = parser.parse_args(arguments)

@@ -64,9 +64,9 @@ def outcome(case: Case, noise: LandmarkNoise) -> tuple[bool, str]:
 
 def main() -> None:
     """Print one row for each amount of noise, and for swapped views."""
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--count", type=int, default=500)
-    arguments.add_argument("--seed", type=int, default=1)
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--count", type=int, default=500, help="arrangements")
+    arguments.add_argument("--seed", type=int, default=1, help="of the arrangements")
     arguments.add_argument("--sigma", type=float, default=2.0, help="noise that the solver assumes, px")
     given = arguments.parse_args()
     noise = LandmarkNoise(sigma_px=given.sigma)

@@ -67,8 +67,8 @@ def views(patient: Patient, seed: int, clutter: int) -> list[NDArray[np.uint8]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True, help="the picture")
     out: Path = parser.parse_args().out
     data = data_folder()
     made: list[tuple[Callable[[np.random.Generator], Patient], int, int]] = [

@@ -100,10 +100,12 @@ def spread(values: Sequence[float]) -> str:
 
 def main() -> None:
     """Print a row for each amount of error and method."""
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--count", type=int, default=16)
-    arguments.add_argument("--seed", type=int, default=1)
-    arguments.add_argument("--levels", type=int, nargs="*", default=list(range(len(LEVELS))), help="0 is exact")
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--count", type=int, default=16, help="cases")
+    arguments.add_argument("--seed", type=int, default=1, help="of the cases")
+    arguments.add_argument(
+        "--levels", type=int, nargs="*", default=list(range(len(LEVELS))), help="how wrong the matrices are; 0: exact"
+    )
     arguments.add_argument("--paper", action="store_true", help="the paper's method too, which takes a minute a case")
     given = arguments.parse_args()
     methods = {

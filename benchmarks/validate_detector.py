@@ -187,8 +187,10 @@ def draw_glare(axes: Axes) -> None:
 
 def main() -> None:
     """Draw the figure."""
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("-o", "--output", type=Path, default=Path("docs/images/simulator-detector.png"))
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument(
+        "-o", "--out", "--output", type=Path, default=Path("docs/images/simulator-detector.png"), dest="output"
+    )
     given = arguments.parse_args()
     plt.rcParams.update({"font.size": 8, "axes.titlesize": 9, "axes.spines.top": False})
     figure, axes = plt.subplots(2, 3, figsize=(12, 6.6), layout="constrained")
