@@ -152,6 +152,24 @@ def _leave(bits, counting):
 
 
 @njit(cache=True, nogil=True)
+def summed_along(adjoint):
+    """The adjoint (rows, columns) as `score_mask` wants its sums; 64 x 64 pixels at a time, which a cache can hold."""
+    rows, columns = adjoint.shape
+    words = (columns + 63) >> 6
+    sums = np.empty((words, 65, rows))
+    for word in range(words):
+        sums[word, 0] = 0.0
+        for top in range(0, rows, 64):
+            bottom = min(top + 64, rows)
+            for bit in range(64):
+                column = 64 * word + bit
+                before, after = sums[word, bit, top:bottom], sums[word, bit + 1, top:bottom]
+                for row in range(bottom - top):
+                    after[row] = before[row] + (adjoint[top + row, column] if column < columns else 0.0)
+    return sums
+
+
+@njit(cache=True, nogil=True)
 def adjoint_of(pixels, region):
     """``D^T D I`` of an X-ray I within its region (rows, columns), and ``|D I|^2`` summed along each row (rows,).
 

@@ -62,17 +62,16 @@ class Target:
     @cached_property
     def rows(self) -> TargetRows:
         """The same for masks that are bit rows, made when first asked for."""
+        from screwpose.similarity.bitrow_kernels import summed_along
+
         region = self.region
         beside, below = np.zeros_like(region), np.zeros_like(region)
         beside[:, 1:] = region[:, 1:] & region[:, :-1]
         below[:-1] = region[1:] & region[:-1]
         bits = packed(region)
-        rows, words = bits.shape
-        columns = np.zeros((64 * words, rows))
-        columns[: region.shape[1]] = self.adjoint.T
-        sums = np.zeros((words, 65, rows))
-        np.cumsum(columns.reshape(words, 64, rows), axis=1, out=sums[:, 1:])
-        return TargetRows(bits, in_blocks(bits), in_blocks(packed(beside)), in_blocks(packed(below)), sums)
+        return TargetRows(
+            bits, in_blocks(bits), in_blocks(packed(beside)), in_blocks(packed(below)), summed_along(self.adjoint)
+        )
 
     @cached_property
     def metal_rows(self) -> BitRows:
