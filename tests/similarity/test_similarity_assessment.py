@@ -8,9 +8,12 @@ from screwpose.errors import BehindSourceError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import ScrewDesign, make_screw
 from screwpose.projection.thickness import MotionFrame, path_lengths
-from screwpose.similarity.assessment import Bodies, assess
+from screwpose.similarity.assessment import Bodies, assess, energies_of, path_lengths_of
 from screwpose.similarity.thickness import (
+    SATURATION_MM,
     GradientTarget,
+    _fitted,
+    clipped,
     derivatives,
     explain,
     make_gradient_target,
@@ -133,6 +136,54 @@ def test_normal_equations_are_those_of_the_reference(target: GradientTarget) -> 
         found.information / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.02
     )
     np.testing.assert_allclose(found.gradient / scale, gradient / scale, atol=0.02 * np.abs(gradient / scale).max())
+
+
+def test_the_gradient_alone_is_the_same(target: GradientTarget) -> None:
+    poses = moved(1.0, 2)
+    both = assess(target, BODIES, poses, with_normal_equations=True)
+    alone = assess(target, BODIES, poses, with_gradient=True)
+    assert np.abs(alone.gradient).min() > 0.0
+    np.testing.assert_array_equal(alone.gradient, both.gradient)
+    assert not alone.information.size
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_bodies_that_stand_still_explain_and_are_not_looked_at(target: GradientTarget, index: int) -> None:
+    poses = moved(1.0, 3)
+    lengths, motions = drawn(target, poses)
+    others = [number for number in range(3) if number != index]
+    rest = Bodies([IMPLANTS[number].mesh for number in others], BODIES.centers_mm[others])
+    fixed_mm = path_lengths_of(target, rest, [poses[number] for number in others])
+    np.testing.assert_allclose(fixed_mm, sum(lengths[number] for number in others), atol=1e-4)
+    total = clipped(np.sum(lengths, axis=0))
+    near = near_metal(target, lengths[index]) & target.counts
+
+    def taken(image: np.ndarray) -> np.ndarray:
+        return np.concatenate([one[near] for one in target.differentiated(image.astype(np.float32))])
+
+    seen = np.concatenate([target.along_u[near], target.along_v[near]]).astype(float)
+    basis = np.stack([taken(1.0 - np.exp(total / -constant)) for constant in SATURATION_MM]).astype(float)
+    response, residuals, weights, spread = _fitted(basis, seen)
+    own = Bodies([IMPLANTS[index].mesh], BODIES.centers_mm[index : index + 1])
+    found = assess(target, own, [poses[index]], with_normal_equations=True, fixed_mm=fixed_mm)
+    energy = 1.0 - np.sum(residuals**2) / np.sum(seen**2)
+    assert found.energy == pytest.approx(energy, abs=1e-3)
+    assert abs(energy - assess(target, own, [poses[index]]).energy) > 0.01  # the others do matter
+    rows, columns, _ = found.compared()
+    np.testing.assert_array_equal(np.stack([rows, columns]), np.nonzero(near))
+    jacobian = np.stack([taken(response_slope(response, total) * motions[index][:, :, k]) for k in range(6)])
+    information, gradient = (jacobian * weights) @ jacobian.T, jacobian @ (weights * residuals)
+    scale = np.sqrt(np.diag(information))
+    assert found.spread == pytest.approx(spread, rel=0.03)  # of fewer pixels than above
+    got = found.spread**2 * found.information / np.outer(scale, scale)
+    np.testing.assert_allclose(got, information / np.outer(scale, scale), atol=0.03)
+    got = found.spread**2 * found.gradient / scale
+    np.testing.assert_allclose(got, gradient / scale, atol=0.03 * np.abs(gradient / scale).max())
+    candidates = np.stack([poses[index], moved(2.0, 4)[index]])
+    got = energies_of(target, own, candidates, None, fixed_mm)
+    assert got[0] == found.energy
+    assert got[1] == assess(target, own, [candidates[1]], fixed_mm=fixed_mm).energy
+    assert got[0] != got[1]
 
 
 def test_nothing_in_view_explains_nothing() -> None:

@@ -8,7 +8,6 @@ the shift, the thread is out of phase and nothing looks better. What is tried is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.symmetry import CONTINUOUS
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
-from screwpose.registration.thickness_fit import Body, energies_of_candidates, fit_at_scale
+from screwpose.registration.thickness_fit import Body, energies_of_candidates, fit_at_scale, standing
 from screwpose.similarity.thickness import GradientTarget
 
 _STEP_DEG = 15.0
@@ -130,29 +129,28 @@ def _tried(
     mark_sigma_px: float,
     enough_mm: float,
 ) -> tuple[list[FloatArray], list[Rival]]:
-    """One body's other ways, as `better_ways` has them."""
-    chosen = companions(views, bodies, poses, index)
-    own = chosen.index(index)
-    near = [bodies[number] for number in chosen]
+    """One body's other ways, as `better_ways` has them, while the others stand still."""
+    own = [bodies[index]]
+    fixed = standing(views, bodies, poses, index)
 
-    def fitted(scene: list[FloatArray], pose: FloatArray) -> list[FloatArray]:
-        moved = [pose if number == own else other for number, other in enumerate(scene)]
-        return list(fit_at_scale(views, near, moved, mark_sigma_px, _ITERATIONS, enough_mm).world_from_cad)
+    def fitted(pose: FloatArray) -> FloatArray:
+        return fit_at_scale(views, own, [pose], mark_sigma_px, _ITERATIONS, enough_mm, fixed).world_from_cad[0]
 
-    best = [poses[number] for number in chosen]
-    best = fitted(best, _nearby(views, near, best, own, lead_mm))
-    lost: list[tuple[list[FloatArray], float]] = []
-    for other in in_threads(partial(fitted, best), other_ways(views, near, best, own, lead_mm)):
-        by = preference(views, near, other, best)
+    def preferred(one: FloatArray, other: FloatArray) -> float:
+        return preference(views, own, [one], [other], fixed)
+
+    best = fitted(_nearby(views, bodies, poses, index, lead_mm))
+    placed = [*poses[:index], best, *poses[index + 1 :]]
+    lost: list[tuple[FloatArray, float]] = []
+    for other in in_threads(fitted, other_ways(views, bodies, placed, index, lead_mm)):
+        by = preferred(other, best)
         if by > DECIDED_SIGMAS:  # what lost to the one that was before is still to be compared with this one
-            lost = [(loser, preference(views, near, other, loser)) for loser, _ in lost] + [(best, by)]
+            lost = [(loser, preferred(other, loser)) for loser, _ in lost] + [(best, by)]
             best = other
         else:
             lost.append((other, -by))
-    found = [Rival(index, *_apart(bodies[index].implant, best[own], other[own]), by) for other, by in lost]
-    placed = list(poses)
-    for number, pose in zip(chosen, best, strict=True):
-        placed[number] = pose
+    found = [Rival(index, *_apart(bodies[index].implant, best, other), by) for other, by in lost]
+    placed[index] = best
     return placed, [rival for rival in found if not rival.is_the_same(1)]
 
 
