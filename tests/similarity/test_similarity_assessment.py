@@ -174,11 +174,11 @@ def test_bodies_that_stand_still_explain_and_are_not_looked_at(target: GradientT
     jacobian = np.stack([taken(response_slope(response, total) * motions[index][:, :, k]) for k in range(6)])
     information, gradient = (jacobian * weights) @ jacobian.T, jacobian @ (weights * residuals)
     scale = np.sqrt(np.diag(information))
-    assert found.spread == pytest.approx(spread, rel=0.03)  # of fewer pixels than above
+    assert found.spread == pytest.approx(spread, rel=0.03)  # of fewer pixels than above, and so the weights
     got = found.spread**2 * found.information / np.outer(scale, scale)
-    np.testing.assert_allclose(got, information / np.outer(scale, scale), atol=0.03)
+    np.testing.assert_allclose(got, information / np.outer(scale, scale), atol=0.05)
     got = found.spread**2 * found.gradient / scale
-    np.testing.assert_allclose(got, gradient / scale, atol=0.03 * np.abs(gradient / scale).max())
+    np.testing.assert_allclose(got, gradient / scale, atol=0.05 * np.abs(gradient / scale).max())
     candidates = np.stack([poses[index], moved(2.0, 4)[index]])
     got = energies_of(target, own, candidates, None, fixed_mm)
     assert got[0] == found.energy
