@@ -24,6 +24,7 @@ _DAMPING = 1e-4
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 _SMALL_STEP = 0.1  # of the full one: a quarter of a pixel at half resolution
 _AT_ONCE = 16  # candidates that a thread takes
+_BESIDE_PX, _BESIDE = 8.0, 0.15  # what a filter reaches, and 7 degrees of a body's length
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,14 @@ def packed(bodies: Sequence[Body], scale: int) -> Bodies:
     return Bodies([body.mesh_at(scale) for body in bodies], np.stack([body.implant.center_mm for body in bodies]))
 
 
+def energies_of_views(
+    targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
+) -> list[float]:
+    """The share of each view's gradient energy that all bodies together explain."""
+    together = packed(bodies, targets[0].scale)
+    return in_threads(lambda target: assess(target, together, poses).energy, targets)
+
+
 def energies_of_each(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
 ) -> FloatArray:
@@ -87,13 +96,42 @@ Fixed = Sequence[ImageArray | None]
 def standing(
     targets: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], index: int
 ) -> list[ImageArray | None]:
-    """What all bodies but one add to the path lengths, by view: drawn once while the one is tried at many poses."""
-    others = [number for number in range(len(bodies)) if number != index]
-    if not others:
-        return [None] * len(targets)
-    together = packed([bodies[number] for number in others], targets[0].scale)
-    their_poses = [poses[number] for number in others]
-    return [*in_threads(lambda target: path_lengths_of(target, together, their_poses), targets)]
+    """What all bodies but one add to the path lengths, by view: drawn once while the one is tried at many poses.
+
+    Bodies that are far from it in a view are left out there: it is not tried so far away.
+    """
+
+    def of_view(target: GradientTarget) -> ImageArray | None:
+        near = _beside(target, bodies, poses, index)
+        if not near:
+            return None
+        together = packed([bodies[number] for number in near], target.scale)
+        return path_lengths_of(target, together, [poses[number] for number in near])
+
+    return in_threads(of_view, targets)
+
+
+def _beside(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray], index: int) -> list[int]:
+    """The other bodies whose boxes in the image come near the one's."""
+    if len(bodies) == 1:
+        return []
+    boxes = [_box_px(target, body, pose) for body, pose in zip(bodies, poses, strict=True)]
+    low, high = boxes[index]
+    margin_px = _BESIDE_PX + _BESIDE * float(np.max(high - low))
+    return [
+        number
+        for number, (first, last) in enumerate(boxes)
+        if number != index and bool((first <= high + margin_px).all() and (last >= low - margin_px).all())
+    ]
+
+
+def _box_px(target: GradientTarget, body: Body, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A box that holds a body in the image: (2,) its first and its last corner."""
+    ends = np.stack([body.mesh.vertices_mm.min(axis=0), body.mesh.vertices_mm.max(axis=0)])
+    corners = np.stack(np.meshgrid(*ends.T), axis=-1).reshape(8, 3)
+    points = rigid.transform(target.camera_from_world @ pose, corners) @ target.intrinsics.T
+    pixels = points[:, :2] / np.maximum(points[:, 2:], 1e-6)
+    return pixels.min(axis=0), pixels.max(axis=0)
 
 
 def energies_of_candidates(
@@ -103,15 +141,17 @@ def energies_of_candidates(
     index: int,
     candidates: Sequence[FloatArray],
     is_quick: bool = False,
+    fixed: Fixed | None = None,
 ) -> list[float]:
     """The explained energy near one body, mean of the views, at each of several poses, the others as they stand.
 
     Parameters
     ----------
+    fixed : the others, where they were drawn before.
     is_quick : the views' responses are those of `poses`, which are about right, and not fitted to every candidate.
     """
     own = packed([bodies[index]], targets[0].scale)
-    fixed = standing(targets, bodies, poses, index)
+    fixed = fixed or standing(targets, bodies, poses, index)
     of_views = list(zip(targets, fixed, strict=True))
     held = [
         assess(target, own, [poses[index]], fixed_mm=one).response if is_quick else None for target, one in of_views
@@ -175,10 +215,9 @@ def changed(body: Body, world_from_cad: FloatArray, change: FloatArray) -> Float
 
 @dataclass(frozen=True, eq=False)
 class ScaleFit:
-    """Where the iterations at one scale ended; `last_step` is the largest shift of a screw in the last one, mm."""
+    """Where the iterations at one scale ended; `last_step_mm` is the largest shift of a screw in the last one."""
 
     world_from_cad: tuple[FloatArray, ...]
-    linearised: Linearised
     iterations: int
     last_step_mm: float
 
@@ -203,9 +242,10 @@ def fit_at_scale(
     poses = [np.asarray(pose, dtype=np.float64) for pose in start_world_from_cad]
     limit = np.repeat(_FULL_STEP, 3) * max(1.0, targets[0].scale / 2.0)
     step_mm = np.inf
+    known: FloatArray | None = None
     done = 0
-    system = linearised(targets, bodies, poses, mark_sigma_px, fixed)
     while done < iterations and step_mm > enough_mm:
+        system = linearised(targets, bodies, poses, mark_sigma_px, fixed, known)
         damped = system.information + _DAMPING * np.diag(np.diag(system.information) + 1e-12)
         steps = np.linalg.solve(damped, system.gradient).reshape(len(bodies), 6)
         in_limits = np.abs(steps / limit).max(axis=1, keepdims=True)
@@ -213,7 +253,6 @@ def fit_at_scale(
         moves = zip(bodies, poses, steps, strict=True)
         poses = [changed(body, pose, np.asarray(step)) for body, pose, step in moves]
         step_mm = float(np.linalg.norm(steps[:, 3:], axis=1).max())
-        done += 1
         known = system.of_images if float(in_limits.max()) < _SMALL_STEP else None
-        system = linearised(targets, bodies, poses, mark_sigma_px, fixed, known)
-    return ScaleFit(tuple(poses), system, done, step_mm)
+        done += 1
+    return ScaleFit(tuple(poses), done, step_mm)
