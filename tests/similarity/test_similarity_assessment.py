@@ -1,5 +1,7 @@
 """The compiled thickness measure against its reference in NumPy and OpenCV."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -67,6 +69,10 @@ def drawn(target: GradientTarget, poses: list[np.ndarray]) -> tuple[list[np.ndar
 @pytest.fixture(scope="module", params=[1, 2])
 def target(request: pytest.FixtureRequest) -> GradientTarget:
     """An X-ray of the three with noise, a wire and a region that cuts into them."""
+    return made_target(request.param)
+
+
+def made_target(scale: int, mean_px: int = 0, is_local: bool = False) -> GradientTarget:
     rng = np.random.default_rng(5)
     at_truth = make_gradient_target(np.zeros(SIZE, np.float32), np.ones(SIZE, bool), CAMERA, 1)
     total = np.sum(drawn(at_truth, POSES)[0], axis=0)
@@ -74,7 +80,9 @@ def target(request: pytest.FixtureRequest) -> GradientTarget:
     image[100:103, 40:200] += 0.5
     region = np.ones(SIZE, bool)
     region[:, :30] = False
-    return make_gradient_target(image.astype(np.float32), region, CAMERA, request.param)
+    if is_local:
+        image[:, 130:] *= 1.4  # the display is steeper on one side
+    return make_gradient_target(image.astype(np.float32), region, CAMERA, scale, 1.3, mean_px, is_local)
 
 
 def moved(amount: float, seed: int = 1) -> list[np.ndarray]:
@@ -117,6 +125,31 @@ def test_a_response_that_is_held_is_fitted_but_for_a_factor(target: GradientTarg
     fitted, held = (assess(target, BODIES, moved(2.0), held_response=one) for one in (None, fitted.response))
     assert fitted.energy - 0.1 < held.energy < fitted.energy + 2e-3
     assert held.energy < 0.9
+
+
+def test_local_gain_and_noise_are_those_of_the_reference() -> None:
+    target, poses = made_target(1, 5, True), moved(0.5)
+    lengths, motions = drawn(target, poses)
+    total = np.sum(lengths, axis=0)
+    want = explain(target, total, WHOLE)
+    assert np.ptp(want.gain) > 0.3
+    plain = assess(replace(target, is_local=False), BODIES, poses)
+    found = assess(target, BODIES, poses, with_normal_equations=True)
+    assert found.energy == pytest.approx(want.energy, abs=1e-3)
+    assert found.energy > plain.energy + 0.015
+    _, _, residuals = found.compared()
+    np.testing.assert_allclose(residuals, want.residuals, atol=3e-3)
+    slope = response_slope(want.response, total)
+    jacobian = np.concatenate([derivatives(target, slope, motion) for motion in motions], axis=3)
+    jacobian *= want.image_of(np.stack([want.gain, want.gain]))[..., None]
+    weights = want.image_of(want.weights) / want.spread**2
+    information = np.einsum("drci,drc,drcj->ij", jacobian, weights, jacobian)
+    gradient = np.einsum("drci,drc->i", jacobian, weights * want.image_of(want.residuals))
+    scale = np.sqrt(np.diag(information))
+    np.testing.assert_allclose(
+        found.information / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.03
+    )
+    np.testing.assert_allclose(found.gradient / scale, gradient / scale, atol=0.03 * np.abs(gradient / scale).max())
 
 
 def test_normal_equations_are_those_of_the_reference(target: GradientTarget) -> None:

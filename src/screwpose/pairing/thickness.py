@@ -32,9 +32,9 @@ from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 _MANY_FACES, _FEWEST_FACES = 20_000, 12_000
 _SURFACE_BOUND_PX = 0.1
 # What limits the accuracy is not noise but what the model leaves out, and that is smooth: the last iterations look at
-# sharper edges, less their mean over some 2 mm; and at the greys themselves, since inside dense metal, where they are
-# nearly black, the logarithm is mostly noise.
-_SHARP_PX, _MEAN_PX = 0.7, 9
+# sharper edges, less their mean over a mm, and let gain and noise differ from place to place; and at the greys
+# themselves, since inside dense metal, where they are nearly black, the logarithm is mostly noise.
+_SHARP_PX, _MEAN_PX = 0.7, 5
 _BETWEEN_ITERATIONS, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 2, 6, 0.002
 # So many triangles are enough from so many px in one on.
 _COARSER_FACES = {2: 2_500}
@@ -100,7 +100,7 @@ def _targets_of(scales: Sequence[int], view: View) -> list[GradientTarget]:
     log = log_image(view.radiograph.pixels)
     targets = [make_gradient_target(log, view.mask, view.camera, scale) for scale in scales]
     greys = view.radiograph.pixels
-    return [*targets, make_gradient_target(greys, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX)]
+    return [*targets, make_gradient_target(greys, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX, True)]
 
 
 def _fit_mesh(mesh: Mesh, mm_per_px: float) -> Mesh:

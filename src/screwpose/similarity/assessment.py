@@ -192,6 +192,7 @@ def _view(target: GradientTarget) -> "kernels.View":
         smooth[middle:],
         slope[middle:],
         np.array([0, rows, 0, columns]),
+        target.is_local,
     )
 
 
@@ -207,4 +208,9 @@ def _constants() -> Any:
         thickness.REWEIGHTED,
         thickness.SAMPLES,
         LEAST_COSINE,
+        thickness.GAIN_PX,
+        thickness.GAIN_HOLD,
+        thickness.MOST_GAIN,
+        thickness.SPREAD_PX,
+        thickness.SPREAD_HOLD,
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from screwpose.projection.length_kernels import draw
+from screwpose.similarity.local_kernels import localise
 from screwpose.similarity.motion_kernels import add_gradient, add_information, pulled_by, steepness_of
 from screwpose.similarity.near_kernels import (
     add_row,
@@ -26,7 +27,7 @@ from screwpose.similarity.near_kernels import (
 from screwpose.similarity.response_kernels import fit_response
 
 View = namedtuple(
-    "View", ["intrinsics", "camera_from_world", "along_u", "along_v", "counts", "smooth", "slope", "bounds"]
+    "View", ["intrinsics", "camera_from_world", "along_u", "along_v", "counts", "smooth", "slope", "bounds", "is_local"]
 )
 """One X-ray: see `thickness.GradientTarget`. smooth, slope (reach + 1,): the taps of the smoothing and of its
 derivative from the middle outwards. bounds (4,): first row, its end, first column, its end."""
@@ -36,8 +37,11 @@ Bodies = namedtuple("Bodies", ["vertices_mm", "vertex_start", "faces", "face_sta
 
 Constants = namedtuple(
     "Constants",
-    ["saturation_mm", "longest_mm", "least_mm", "rim_share", "cauchy", "reweighted", "samples", "least_cosine"],
-)
+    [
+        "saturation_mm", "longest_mm", "least_mm", "rim_share", "cauchy", "reweighted", "samples", "least_cosine",
+        "gain_px", "gain_hold", "most_gain", "spread_px", "spread_hold",
+    ],
+)  # fmt: skip
 """See `thickness`, where they are set."""
 
 Assessed = namedtuple(
@@ -104,6 +108,9 @@ def assess(
     response, spread = fit_response(basis, image, mask, weights, model, residuals, constants)
     if len(held_response):
         response = held_response * response[0]
+    gain = np.empty(0, np.float32)
+    if view.is_local:
+        gain = localise(near, window, total_mm.shape, image, model, mask, spread, constants, weights, residuals)
     left_over, seen = 0.0, 0.0
     for along in range(2):
         left_over += long_product(residuals[along] * mask, residuals[along])
@@ -116,10 +123,15 @@ def assess(
         placed = np.zeros((2, rows, columns), np.float32)
         if with_gradient:
             for along in range(2):
-                scattered(near, window, weights[along] * residuals[along], placed[along])
+                pulls = weights[along] * residuals[along]
+                if view.is_local:
+                    pulls *= gain
+                scattered(near, window, pulls, placed[along])
             add_gradient(drawn, steepness, pulled_by(placed, view), window, gradient)
         if with_information:
             for along in range(2):
+                if view.is_local:
+                    weights[along] *= gain * gain
                 scattered(near, window, weights[along], placed[along])
             add_information(drawn, view, steepness, window, placed, information)
     return Assessed(energy, spread, response, shares, information, gradient, near, mask, residuals, drawn.nearest_mm)
