@@ -10,11 +10,12 @@ from scipy.spatial import KDTree
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, Mesh, ScrewDesign, make_screw
 from screwpose.implants.symmetry import surface_sample
-from screwpose.registration.alternatives import Rival, companions, compared_again, other_ways, screwed, thread_lead_mm
+from screwpose.registration.alternatives import Rival, compared_again, other_ways, screwed, thread_lead_mm
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
 from screwpose.registration.recipe import STAGES, fit_by_thickness, settled
-from screwpose.registration.thickness_fit import Body, fit_at_scale
+from screwpose.registration.thickness_fit import Body, fit_at_scale, packed, standing
+from screwpose.similarity.assessment import path_lengths_of
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 from screwpose.simulation.pathlength import path_length_mm
 
@@ -170,8 +171,11 @@ def test_only_bodies_that_meet_in_a_view_matter() -> None:
     poses[1][:3, 3] += [0.0, 0.0, 25.0]
     poses[2][:3, 3] += 300.0
     bodies = [body()] * 3
-    assert companions(views(2), bodies, poses, 0) == [0, 1]
-    assert companions(views(2), bodies, poses, 2) == [2]
+    for index, other in ((0, 1), (1, 0)):
+        for target, found in zip(views(2), standing(views(2), bodies, poses, index), strict=True):
+            np.testing.assert_array_equal(found, path_lengths_of(target, packed([body()], 2), [poses[other]]))
+            assert found.any()
+    assert standing(views(2), bodies, poses, 2) == [None, None]
 
 
 def test_a_body_of_revolution_has_no_other_ways() -> None:

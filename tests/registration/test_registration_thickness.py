@@ -15,6 +15,7 @@ from screwpose.registration.thickness_fit import (
     changed,
     energies_of_candidates,
     energies_of_each,
+    energies_of_views,
     fit_at_scale,
     linearised,
 )
@@ -120,7 +121,7 @@ def test_it_comes_back_from_a_mm_and_a_degree(targets: dict) -> None:
     tip_mm, turn_deg = off(fit.world_from_cad)
     assert tip_mm < 0.06  # a pixel is 0.46 mm here
     assert turn_deg < 0.5
-    assert np.mean(fit.linearised.energies) > 0.9
+    assert np.mean(energies_of_views(targets[1], both, fit.world_from_cad)) > 0.9
 
 
 def test_the_recipe_finds_roll_and_direction_by_itself(targets: dict) -> None:

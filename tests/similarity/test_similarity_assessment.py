@@ -1,5 +1,7 @@
 """The compiled thickness measure against its reference in NumPy and OpenCV."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -8,9 +10,12 @@ from screwpose.errors import BehindSourceError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import ScrewDesign, make_screw
 from screwpose.projection.thickness import MotionFrame, path_lengths
-from screwpose.similarity.assessment import Bodies, assess
+from screwpose.similarity.assessment import Bodies, assess, energies_of, path_lengths_of
 from screwpose.similarity.thickness import (
+    SATURATION_MM,
     GradientTarget,
+    _fitted,
+    clipped,
     derivatives,
     explain,
     make_gradient_target,
@@ -64,6 +69,10 @@ def drawn(target: GradientTarget, poses: list[np.ndarray]) -> tuple[list[np.ndar
 @pytest.fixture(scope="module", params=[1, 2])
 def target(request: pytest.FixtureRequest) -> GradientTarget:
     """An X-ray of the three with noise, a wire and a region that cuts into them."""
+    return made_target(request.param)
+
+
+def made_target(scale: int, mean_px: int = 0, is_local: bool = False) -> GradientTarget:
     rng = np.random.default_rng(5)
     at_truth = make_gradient_target(np.zeros(SIZE, np.float32), np.ones(SIZE, bool), CAMERA, 1)
     total = np.sum(drawn(at_truth, POSES)[0], axis=0)
@@ -71,7 +80,9 @@ def target(request: pytest.FixtureRequest) -> GradientTarget:
     image[100:103, 40:200] += 0.5
     region = np.ones(SIZE, bool)
     region[:, :30] = False
-    return make_gradient_target(image.astype(np.float32), region, CAMERA, request.param)
+    if is_local:
+        image[:, 130:] *= 1.4  # the display is steeper on one side
+    return make_gradient_target(image.astype(np.float32), region, CAMERA, scale, 1.3, mean_px, is_local)
 
 
 def moved(amount: float, seed: int = 1) -> list[np.ndarray]:
@@ -116,6 +127,31 @@ def test_a_response_that_is_held_is_fitted_but_for_a_factor(target: GradientTarg
     assert held.energy < 0.9
 
 
+def test_local_gain_and_noise_are_those_of_the_reference() -> None:
+    target, poses = made_target(1, 5, True), moved(0.5)
+    lengths, motions = drawn(target, poses)
+    total = np.sum(lengths, axis=0)
+    want = explain(target, total, WHOLE)
+    assert np.ptp(want.gain) > 0.3
+    plain = assess(replace(target, is_local=False), BODIES, poses)
+    found = assess(target, BODIES, poses, with_normal_equations=True)
+    assert found.energy == pytest.approx(want.energy, abs=1e-3)
+    assert found.energy > plain.energy + 0.015
+    _, _, residuals = found.compared()
+    np.testing.assert_allclose(residuals, want.residuals, atol=3e-3)
+    slope = response_slope(want.response, total)
+    jacobian = np.concatenate([derivatives(target, slope, motion) for motion in motions], axis=3)
+    jacobian *= want.image_of(np.stack([want.gain, want.gain]))[..., None]
+    weights = want.image_of(want.weights) / want.spread**2
+    information = np.einsum("drci,drc,drcj->ij", jacobian, weights, jacobian)
+    gradient = np.einsum("drci,drc->i", jacobian, weights * want.image_of(want.residuals))
+    scale = np.sqrt(np.diag(information))
+    np.testing.assert_allclose(
+        found.information / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.03
+    )
+    np.testing.assert_allclose(found.gradient / scale, gradient / scale, atol=0.03 * np.abs(gradient / scale).max())
+
+
 def test_normal_equations_are_those_of_the_reference(target: GradientTarget) -> None:
     poses = moved(1.0, 2)
     lengths, motions = drawn(target, poses)
@@ -133,6 +169,54 @@ def test_normal_equations_are_those_of_the_reference(target: GradientTarget) -> 
         found.information / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.02
     )
     np.testing.assert_allclose(found.gradient / scale, gradient / scale, atol=0.02 * np.abs(gradient / scale).max())
+
+
+def test_the_gradient_alone_is_the_same(target: GradientTarget) -> None:
+    poses = moved(1.0, 2)
+    both = assess(target, BODIES, poses, with_normal_equations=True)
+    alone = assess(target, BODIES, poses, with_gradient=True)
+    assert np.abs(alone.gradient).min() > 0.0
+    np.testing.assert_array_equal(alone.gradient, both.gradient)
+    assert not alone.information.size
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_bodies_that_stand_still_explain_and_are_not_looked_at(target: GradientTarget, index: int) -> None:
+    poses = moved(1.0, 3)
+    lengths, motions = drawn(target, poses)
+    others = [number for number in range(3) if number != index]
+    rest = Bodies([IMPLANTS[number].mesh for number in others], BODIES.centers_mm[others])
+    fixed_mm = path_lengths_of(target, rest, [poses[number] for number in others])
+    np.testing.assert_allclose(fixed_mm, sum(lengths[number] for number in others), atol=1e-4)
+    total = clipped(np.sum(lengths, axis=0))
+    near = near_metal(target, lengths[index]) & target.counts
+
+    def taken(image: np.ndarray) -> np.ndarray:
+        return np.concatenate([one[near] for one in target.differentiated(image.astype(np.float32))])
+
+    seen = np.concatenate([target.along_u[near], target.along_v[near]]).astype(float)
+    basis = np.stack([taken(1.0 - np.exp(total / -constant)) for constant in SATURATION_MM]).astype(float)
+    response, residuals, weights, spread = _fitted(basis, seen)
+    own = Bodies([IMPLANTS[index].mesh], BODIES.centers_mm[index : index + 1])
+    found = assess(target, own, [poses[index]], with_normal_equations=True, fixed_mm=fixed_mm)
+    energy = 1.0 - np.sum(residuals**2) / np.sum(seen**2)
+    assert found.energy == pytest.approx(energy, abs=1e-3)
+    assert abs(energy - assess(target, own, [poses[index]]).energy) > 0.01  # the others do matter
+    rows, columns, _ = found.compared()
+    np.testing.assert_array_equal(np.stack([rows, columns]), np.nonzero(near))
+    jacobian = np.stack([taken(response_slope(response, total) * motions[index][:, :, k]) for k in range(6)])
+    information, gradient = (jacobian * weights) @ jacobian.T, jacobian @ (weights * residuals)
+    scale = np.sqrt(np.diag(information))
+    assert found.spread == pytest.approx(spread, rel=0.03)  # of fewer pixels than above, and so the weights
+    got = found.spread**2 * found.information / np.outer(scale, scale)
+    np.testing.assert_allclose(got, information / np.outer(scale, scale), atol=0.05)
+    got = found.spread**2 * found.gradient / scale
+    np.testing.assert_allclose(got, gradient / scale, atol=0.05 * np.abs(gradient / scale).max())
+    candidates = np.stack([poses[index], moved(2.0, 4)[index]])
+    got = energies_of(target, own, candidates, None, fixed_mm)
+    assert got[0] == found.energy
+    assert got[1] == assess(target, own, [candidates[1]], fixed_mm=fixed_mm).energy
+    assert got[0] != got[1]
 
 
 def test_nothing_in_view_explains_nothing() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from screwpose.errors import ImageError
 from screwpose.geometry import Camera
-from screwpose.similarity.thickness import derivatives, explain, make_gradient_target, response_slope
+from screwpose.similarity.thickness import derivatives, explain, localised, make_gradient_target, response_slope
 
 SHAPE = (120, 160)
 CAMERA = Camera.from_matrix(np.array([[400.0, 0, 80, 0], [0, 400.0, 60, 0], [0, 0, 1, 0]]))
@@ -122,3 +122,23 @@ def test_model_derivatives_by_a_parameter_are_differences_of_the_model() -> None
     numeric = (model(lengths + 0.5 * change) - model(lengths - 0.5 * change)) / 1.0
     np.testing.assert_allclose(slopes[..., 0], numeric, atol=2e-6 + 0.02 * np.abs(numeric).max())
     np.testing.assert_allclose(slopes[..., 1], 2.0 * slopes[..., 0], atol=1e-6)
+
+
+def test_gain_and_noise_of_each_place_are_found() -> None:
+    """Twice the contrast on one side, three times the noise in one corner."""
+    rng = np.random.default_rng(11)
+    near = np.zeros((90, 120), bool)
+    near[5:85, 5:115] = True
+    rows, columns = np.nonzero(near)
+    model = rng.normal(size=(2, len(rows)))
+    noise = np.where((rows > 50) & (columns > 80), 0.3, 0.1)
+    image = np.where(columns < 50, 2.0, 1.0) * model + noise * rng.normal(size=model.shape)
+    gain, residuals, weights = localised(near, model.ravel(), image.ravel(), np.ones(model.size), 0.1)
+    inside = (np.abs(columns - 50) > 8) & (columns > 15) & (columns < 105) & (rows > 15) & (rows < 75)
+    assert np.mean(gain[inside & (columns < 50)]) == pytest.approx(1.9, abs=0.06)  # held a little to 1
+    assert np.mean(gain[inside & (columns > 50)]) == pytest.approx(1.0, abs=0.03)
+    np.testing.assert_allclose(residuals.reshape(2, -1), image - gain * model)
+    trusted = np.median(weights.reshape(2, -1), axis=0)
+    noisy = inside & (rows > 56) & (columns > 86)
+    quiet = inside & (columns > 60) & (rows < 44)
+    assert np.median(trusted[quiet]) / np.median(trusted[noisy]) == pytest.approx(9.0, rel=0.25)

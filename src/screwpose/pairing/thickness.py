@@ -4,7 +4,7 @@ A wrong combination may slide onto the true poses, and then explains the images 
 labels. The marks do. So once registered, a combination is judged by how far its marks are from its models.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,7 +24,7 @@ from screwpose.registration import Progress, Registered
 from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, compared_again, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
-from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale, linearised
+from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 
 # Models of more triangles are reduced, as far as moves their surface by no more than this share of a pixel at the
@@ -32,9 +32,9 @@ from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 _MANY_FACES, _FEWEST_FACES = 20_000, 12_000
 _SURFACE_BOUND_PX = 0.1
 # What limits the accuracy is not noise but what the model leaves out, and that is smooth: the last iterations look at
-# sharper edges, less their mean over some 2 mm; and at the greys themselves, since inside dense metal, where they are
-# nearly black, the logarithm is mostly noise.
-_SHARP_PX, _MEAN_PX = 0.7, 9
+# sharper edges, less their mean over a mm, and let gain and noise differ from place to place; and at the greys
+# themselves, since inside dense metal, where they are nearly black, the logarithm is mostly noise.
+_SHARP_PX, _MEAN_PX = 0.7, 5
 _BETWEEN_ITERATIONS, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 2, 6, 0.002
 # So many triangles are enough from so many px in one on.
 _COARSER_FACES = {2: 2_500}
@@ -100,7 +100,7 @@ def _targets_of(scales: Sequence[int], view: View) -> list[GradientTarget]:
     log = log_image(view.radiograph.pixels)
     targets = [make_gradient_target(log, view.mask, view.camera, scale) for scale in scales]
     greys = view.radiograph.pixels
-    return [*targets, make_gradient_target(greys, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX)]
+    return [*targets, make_gradient_target(greys, view.mask, view.camera, scales[-1], _SHARP_PX, _MEAN_PX, True)]
 
 
 def _fit_mesh(mesh: Mesh, mm_per_px: float) -> Mesh:
@@ -124,20 +124,31 @@ def refine_by_thickness(
     poses: Poses,
     noise: LandmarkNoise,
     progress: Progress | None = None,
+    known: Mapping[Hypothesis, FloatArray] | None = None,
+    is_hopeless: bool = False,
 ) -> tuple[Registered, Quality]:
     """Register the screws of a combination together, from where they were placed; and the cameras, where they may.
 
     Where cameras are held the finest stage is left to `settle_by_thickness`.
+
+    Parameters
+    ----------
+    known : where screws ended that were registered in another combination: they begin there.
+    is_hopeless : screws that explain little are left as they are, and do not begin again in other ways.
     """
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
+    if is_hopeless:
+        stages = [(scale, replace(stage, doubtful_below=0.0)) for scale, stage in stages]
+    known = known or {}
+    poses = tuple(known.get(one, pose) for one, pose in zip(combination.hypotheses, poses, strict=True))
+    theirs = [index for index, one in enumerate(combination.hypotheses) if one in known]
     if not are_free(case):
         has_finer = len(stages) > 1 and not stages[-1][1].other_ways
         coarse = stages[:-1] if has_finer else stages
-        return _judged(
-            case, thickness, bodies, fit_by_thickness(bodies, poses, thickness.targets, coarse, progress), noise
-        )
-    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress)
+        fit = fit_by_thickness(bodies, poses, thickness.targets, coarse, progress, theirs)
+        return _judged(case, thickness, bodies, fit, noise)
+    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress, theirs)
     fit = settled(bodies, fit, thickness.targets, stages, _leads_mm(thickness, combination))
     cameras = fit_cameras(case, combination, bodies, fit.world_from_cad, thickness.targets, stages, noise, progress)
     return _judged(case, thickness, bodies, fit, noise, cameras)
@@ -155,9 +166,7 @@ def settle_by_thickness(
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
     coarse = [one for one in stages if one[1].other_ways]
-    scale, stage = (coarse or stages)[-1]
-    system = linearised(thickness.targets[scale], bodies, found.world_from_cad, stage.mark_sigma_px)
-    fit = ScaleFit(found.world_from_cad, system, 0, 0.0)
+    fit = ScaleFit(found.world_from_cad, 0, 0.0)
     at_rest = settled(bodies, fit, thickness.targets, coarse, _leads_mm(thickness, combination), progress)
     if progress is not None:
         progress(0.7, "fitting the sharpest images")

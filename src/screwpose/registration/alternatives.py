@@ -8,7 +8,6 @@ the shift, the thread is out of phase and nothing looks better. What is tried is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.symmetry import CONTINUOUS
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
-from screwpose.registration.thickness_fit import Body, energies_of_candidates, fit_at_scale
+from screwpose.registration.thickness_fit import Body, Fixed, energies_of_candidates, fit_at_scale, standing
 from screwpose.similarity.thickness import GradientTarget
 
 _STEP_DEG = 15.0
@@ -35,7 +34,6 @@ DECIDED_SIGMAS = 1.0
 _CLEAR_SIGMAS = 3.0  # on development cases sharp images decided all that were left below it
 SAME_TURN_DEG, SAME_SHIFT_MM = 10.0, 0.3  # nearer poses are one, not yet at rest
 _REST_DEG, _REST_MM = 3.0, 0.1  # what a coarser image may differ by
-_BESIDE_PX = 8.0
 _SECTION_MM = 0.3
 _SHANK = (0.2, 1.7)  # of the way from the tip to the centre: behind the nose, and before the head
 
@@ -130,29 +128,28 @@ def _tried(
     mark_sigma_px: float,
     enough_mm: float,
 ) -> tuple[list[FloatArray], list[Rival]]:
-    """One body's other ways, as `better_ways` has them."""
-    chosen = companions(views, bodies, poses, index)
-    own = chosen.index(index)
-    near = [bodies[number] for number in chosen]
+    """One body's other ways, as `better_ways` has them, while the others stand still."""
+    own = [bodies[index]]
+    fixed = standing(views, bodies, poses, index)
 
-    def fitted(scene: list[FloatArray], pose: FloatArray) -> list[FloatArray]:
-        moved = [pose if number == own else other for number, other in enumerate(scene)]
-        return list(fit_at_scale(views, near, moved, mark_sigma_px, _ITERATIONS, enough_mm).world_from_cad)
+    def fitted(pose: FloatArray) -> FloatArray:
+        return fit_at_scale(views, own, [pose], mark_sigma_px, _ITERATIONS, enough_mm, fixed).world_from_cad[0]
 
-    best = [poses[number] for number in chosen]
-    best = fitted(best, _nearby(views, near, best, own, lead_mm))
-    lost: list[tuple[list[FloatArray], float]] = []
-    for other in in_threads(partial(fitted, best), other_ways(views, near, best, own, lead_mm)):
-        by = preference(views, near, other, best)
+    def preferred(one: FloatArray, other: FloatArray) -> float:
+        return preference(views, own, [one], [other], fixed)
+
+    best = fitted(_nearby(views, bodies, poses, index, lead_mm, fixed))
+    placed = [*poses[:index], best, *poses[index + 1 :]]
+    lost: list[tuple[FloatArray, float]] = []
+    for other in in_threads(fitted, other_ways(views, bodies, placed, index, lead_mm, fixed)):
+        by = preferred(other, best)
         if by > DECIDED_SIGMAS:  # what lost to the one that was before is still to be compared with this one
-            lost = [(loser, preference(views, near, other, loser)) for loser, _ in lost] + [(best, by)]
+            lost = [(loser, preferred(other, loser)) for loser, _ in lost] + [(best, by)]
             best = other
         else:
             lost.append((other, -by))
-    found = [Rival(index, *_apart(bodies[index].implant, best[own], other[own]), by) for other, by in lost]
-    placed = list(poses)
-    for number, pose in zip(chosen, best, strict=True):
-        placed[number] = pose
+    found = [Rival(index, *_apart(bodies[index].implant, best, other), by) for other, by in lost]
+    placed[index] = best
     return placed, [rival for rival in found if not rival.is_the_same(1)]
 
 
@@ -211,12 +208,17 @@ def is_at_rest(body: Body, world_from_cad: FloatArray, other: FloatArray) -> boo
 
 
 def _nearby(
-    views: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], index: int, lead_mm: float
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    index: int,
+    lead_mm: float,
+    fixed: Fixed,
 ) -> FloatArray:
     """The way along the thread is long and flat: a few steps of it at once."""
     angles_deg = (0.0, *_NEARBY_DEG)
     trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
-    return trials[int(np.argmax(energies_of_candidates(views, bodies, poses, index, trials, is_quick=True)))]
+    return trials[int(np.argmax(energies_of_candidates(views, bodies, poses, index, trials, True, fixed)))]
 
 
 def other_ways(
@@ -225,13 +227,14 @@ def other_ways(
     poses: Sequence[FloatArray],
     index: int,
     lead_mm: float,
+    fixed: Fixed | None = None,
 ) -> list[FloatArray]:
     """Poses of one body, along its thread, that explain more than those beside them, the best first."""
     angles_deg = np.arange(-195.0, 196.0, _STEP_DEG)  # half a turn may end a little beyond it
     if lead_mm:
         angles_deg = np.concatenate([np.negative(_FULL_TURN_DEG[::-1]), angles_deg, _FULL_TURN_DEG])
     trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
-    energies = np.array(energies_of_candidates(views, bodies, poses, index, trials, is_quick=True))
+    energies = np.array(energies_of_candidates(views, bodies, poses, index, trials, True, fixed))
     padded = np.concatenate([[-np.inf], energies, [-np.inf]])
     is_peak = (energies >= padded[:-2]) & (energies >= padded[2:]) & (angles_deg != 0.0)
     now = energies[len(energies) // 2]
@@ -240,25 +243,3 @@ def other_ways(
     peaks = np.flatnonzero(is_peak & (energies > now - _PROMISING))
     peaks = peaks[np.argsort(-energies[peaks], kind="stable")][:_TRIED]
     return [trials[peak] for peak in peaks]
-
-
-def companions(
-    views: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], index: int
-) -> list[int]:
-    """The bodies that lie over or beside one of them in some view, itself among them; no others matter to it."""
-    found = {index}
-    for view in views:
-        boxes = [_box(view, body, pose) for body, pose in zip(bodies, poses, strict=True)]
-        low, high = boxes[index]
-        found |= {
-            number
-            for number, (first, last) in enumerate(boxes)
-            if bool((first <= high + _BESIDE_PX).all() and (last >= low - _BESIDE_PX).all())
-        }
-    return sorted(found)
-
-
-def _box(view: GradientTarget, body: Body, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    points = rigid.transform(view.camera_from_world @ pose, body.mesh.vertices_mm) @ view.intrinsics.T
-    pixels = points[:, :2] / np.maximum(points[:, 2:], 1e-6)
-    return pixels.min(axis=0), pixels.max(axis=0)

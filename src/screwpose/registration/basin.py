@@ -18,7 +18,7 @@ from screwpose.implants.model import Mesh
 from screwpose.registration.alternatives import Rival, thread_lead_mm
 from screwpose.registration.recipe import STAGES, RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
 from screwpose.registration.search import Progress, SearchOptions, register
-from screwpose.registration.thickness_fit import Body, energies_of_each, fit_at_scale
+from screwpose.registration.thickness_fit import Body, energies_of_each, energies_of_views, fit_at_scale
 from screwpose.similarity.engine import SceneEngine
 from screwpose.similarity.target import Target
 
@@ -176,20 +176,21 @@ def register_from(
     is_near = reach_mm <= _NEAR_MM and max(reach_deg, roll_deg or 0.0) <= _NEAR_DEG
     engine = SceneEngine(xrays.cameras, xrays.silhouettes, meshes)
     tell = progress or _tell_nobody
-    ends: list[RecipeFit] = []
+    ends: list[tuple[float, RecipeFit]] = []
+    scale, last = xrays.stages[-1]
+    views = xrays.targets[scale]
     apart = (np.inf, np.inf)
     for number in range(most_starts):
         entry: Sequence[FloatArray] = start
         if number or not is_near:
             options = replace(bounds, seed=seed + number)
             entry = _searched(bodies, start, engine, options, _part(tell, number, number + 0.3, most_starts))
-        ends.append(_finished(bodies, entry, xrays, leads_mm, _part(tell, number + 0.3, number + 1.0, most_starts)))
-        best = max(ends, key=_energy)
-        apart = _nearest(bodies, best, [end for end in ends if end is not best])
+        end = _finished(bodies, entry, xrays, leads_mm, _part(tell, number + 0.3, number + 1.0, most_starts))
+        ends.append((float(np.mean(energies_of_views(views, bodies, end.world_from_cad))), end))
+        _, best = max(ends, key=lambda one: one[0])
+        apart = _nearest(bodies, best, [other for _, other in ends if other is not best])
         if apart[0] <= AGREE_MM and apart[1] <= AGREE_DEG:
             break
-    scale, last = xrays.stages[-1]
-    views = xrays.targets[scale]
     poses = fit_at_scale(views, bodies, best.world_from_cad, last.mark_sigma_px, *_POLISH).world_from_cad
     energies = energies_of_each(views, bodies, poses)
     return FarFit(poses, energies, len(ends), *apart, _doubts(energies, len(ends), *apart), best.rivals)
@@ -236,10 +237,6 @@ def _finished(
     stages[-1] = (scale, replace(last, iterations=iterations, enough_mm=enough_mm))
     fit = fit_by_thickness(bodies, poses, xrays.targets, stages, progress)
     return settled(bodies, fit, xrays.targets, stages, leads_mm)
-
-
-def _energy(fit: RecipeFit) -> float:
-    return float(np.mean(fit.linearised.energies))
 
 
 def _nearest(bodies: Sequence[Body], best: RecipeFit, others: Sequence[RecipeFit]) -> tuple[float, float]:

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from screwpose._types import FloatArray
-from screwpose.registration.thickness_fit import Body, packed
+from screwpose._types import FloatArray, ImageArray
+from screwpose.registration.thickness_fit import Body, Fixed, packed
 from screwpose.similarity.assessment import assess
-from screwpose.similarity.thickness import CAUCHY, GradientTarget
+from screwpose.similarity.thickness import CAUCHY, GradientTarget, near_metal
 
 # Smoothing ties residuals together over some 4 px, anatomy and the detector's texture over more.
 _BLOCK_PX = 16
@@ -18,6 +18,7 @@ def preference(
     bodies: Sequence[Body],
     poses: Sequence[FloatArray],
     others: Sequence[FloatArray],
+    fixed: Fixed | None = None,
 ) -> float:
     """By how many standard deviations the images prefer some poses to others.
 
@@ -29,6 +30,7 @@ def preference(
     Parameters
     ----------
     poses, others : (4, 4) of each body, both fitted.
+    fixed : bodies that stand still beside these; None: there are none.
 
     Returns
     -------
@@ -38,34 +40,47 @@ def preference(
     ----------
     Vuong (1989), "Likelihood ratio tests for model selection and non-nested hypotheses".
     """
-    blocks = np.concatenate([_differences(view, bodies, poses, others) for view in views])
+    of_views = zip(views, fixed or [None] * len(views), strict=True)
+    blocks = np.concatenate([_differences(view, bodies, poses, others, lengths) for view, lengths in of_views])
     spread = float(np.sqrt(np.sum((blocks - blocks.mean()) ** 2))) if len(blocks) else 0.0
     return float(blocks.sum()) / spread if spread > 0.0 else 0.0
 
 
 def _differences(
-    view: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray], others: Sequence[FloatArray]
+    view: GradientTarget,
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    others: Sequence[FloatArray],
+    fixed_mm: ImageArray | None,
 ) -> FloatArray:
     """What `poses` gain over `others` in log-likelihood, summed over each block that either explains, (blocks,)."""
-    shape = view.shape
-    near = np.zeros(shape, dtype=np.bool_)
-    residuals = []
-    spread = np.inf
     together = packed(bodies, view.scale)
-    for scene in (poses, others):
-        assessment = assess(view, together, scene)
-        rows, columns, left_over = assessment.compared()
-        left = np.stack([view.along_u, view.along_v]).astype(np.float64)
-        left[:, rows, columns] = left_over
-        near[rows, columns] = True
-        residuals.append(left)
-        spread = min(spread, assessment.spread)
-    if not near.any():
+    found = [assess(view, together, scene, fixed_mm=fixed_mm) for scene in (poses, others)]
+    compared = [one.compared() for one in found]
+    places = np.concatenate([np.stack([rows, columns]) for rows, columns, _ in compared], axis=1)
+    if not places.size:
         return np.zeros(0)
-    loss = [0.5 * CAUCHY**2 * np.log1p((one / (CAUCHY * spread)) ** 2).sum(axis=0) for one in residuals]
-    gain = np.where(near, loss[1] - loss[0], 0.0)
+    # The blocks that these pixels are in.
+    low = places.min(axis=1) // _BLOCK_PX * _BLOCK_PX
+    high = np.minimum((places.max(axis=1) // _BLOCK_PX + 1) * _BLOCK_PX, view.shape)
+    window = (slice(low[0], high[0]), slice(low[1], high[1]))
+    spread = CAUCHY * min(one.spread for one in found)
+    seen = np.stack([view.along_u[window], view.along_v[window]])
+    reached = np.zeros((2, *seen.shape[1:]), dtype=np.bool_)
+    loss = []
+    for reach, (rows, columns, left_over) in zip(reached, compared, strict=True):
+        reach[rows - low[0], columns - low[1]] = True
+        left = seen.copy()
+        left[:, rows - low[0], columns - low[1]] = left_over
+        loss.append(np.log1p((left / np.float32(spread)) ** 2).sum(axis=0))
+    near = reached.any(axis=0)
+    if fixed_mm is not None:  # what it explains where only one of the two is compared is not known
+        near &= reached.all(axis=0) | ~near_metal(view, fixed_mm)[window]
     rows, columns = np.nonzero(near)
-    across = -(-shape[1] // _BLOCK_PX)
+    if not len(rows):
+        return np.zeros(0)
+    across = -(-near.shape[1] // _BLOCK_PX)
     index = rows // _BLOCK_PX * across + columns // _BLOCK_PX
-    summed = np.bincount(index, weights=gain[near])
+    gain = 0.5 * CAUCHY**2 * (loss[1] - loss[0])[near].astype(np.float64)
+    summed = np.bincount(index, weights=gain)
     return np.asarray(summed[np.bincount(index) > 0])

@@ -1,6 +1,6 @@
 """From placed screws to their poses: grids for what a gradient cannot see, then Gauss-Newton from coarse to fine."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -94,6 +94,7 @@ def fit_by_thickness(
     targets: Targets,
     stages: Sequence[tuple[int, Stage]],
     progress: Progress | None = None,
+    known: Collection[int] = (),
 ) -> ScaleFit:
     """Register all screws together on the thickness model.
 
@@ -106,7 +107,9 @@ def fit_by_thickness(
     start_world_from_cad : (4, 4) each, good to a few mm and degrees; the roll may be anything.
     stages : with their scales, as `scaled_stages` has them.
     progress : told after every stage; what it raises stops the work.
+    known : indices of screws that start where they were registered in other company: no other poses are tried of them.
     """
+    fresh = [index for index in range(len(bodies)) if index not in known]
     start = [np.asarray(pose, dtype=np.float64) for pose in start_world_from_cad]
     poses = start
     fit: ScaleFit | None = None
@@ -114,10 +117,10 @@ def fit_by_thickness(
         views = targets[scale]
         if progress is not None:
             progress(index / len(stages), f"fitting at 1/{scale} of the resolution")
-        fit = _through(views, bodies, poses, stage, range(len(bodies)))
+        fit = _through(views, bodies, poses, stage, fresh)
         poses = list(fit.world_from_cad)
         if stage.doubtful_below > 0.0:
-            poses = _begun_again(bodies, start, poses, targets, stages[: index + 1])
+            poses = _begun_again(bodies, start, poses, targets, stages[: index + 1], fresh)
     assert fit is not None, "at least one stage"
     return fit
 
@@ -138,7 +141,7 @@ def settled(
     leads_mm : of each body's thread; None: as `thread_lead_mm` finds them.
     progress : told before; what it raises stops the work.
     """
-    unchanged = RecipeFit(fit.world_from_cad, fit.linearised, fit.iterations, fit.last_step_mm)
+    unchanged = RecipeFit(fit.world_from_cad, fit.iterations, fit.last_step_mm)
     places = [index for index, (_, stage) in enumerate(stages) if stage.other_ways]
     if not places:
         return unchanged
@@ -159,7 +162,7 @@ def settled(
         poses = list(again.world_from_cad)
     if preference(targets[scale], bodies, again.world_from_cad, fit.world_from_cad) <= 0.0:
         return unchanged
-    return RecipeFit(again.world_from_cad, again.linearised, again.iterations, again.last_step_mm, tuple(rivals))
+    return RecipeFit(again.world_from_cad, again.iterations, again.last_step_mm, tuple(rivals))
 
 
 def _through(
@@ -183,6 +186,7 @@ def _begun_again(
     poses: Sequence[FloatArray],
     targets: Targets,
     stages: Sequence[tuple[int, Stage]],
+    fresh: Sequence[int],
 ) -> list[FloatArray]:
     """Let screws that explain little in some view begin once more from their start, in two other ways.
 
@@ -194,7 +198,7 @@ def _begun_again(
     scale, stage = stages[-1]
     for directions in (_as_they_stand, _all_around):
         lowest = energies_of_each(targets[scale], bodies, best).min(axis=1)
-        doubtful = np.flatnonzero(lowest < stage.doubtful_below).tolist()
+        doubtful = [index for index in fresh if lowest[index] < stage.doubtful_below]
         if not doubtful:
             break
         again = [start[number] if number in doubtful else pose for number, pose in enumerate(best)]

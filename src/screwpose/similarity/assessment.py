@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from screwpose._types import FloatArray, IntArray
+from screwpose._types import FloatArray, ImageArray, IntArray
 from screwpose.errors import BehindSourceError
 from screwpose.implants.model import Mesh
 from screwpose.projection.thickness import LEAST_COSINE
@@ -19,6 +19,9 @@ from screwpose.similarity.thickness import GradientTarget, taps
 
 if TYPE_CHECKING:
     from screwpose.similarity import kernels
+
+_NO_RESPONSE = np.zeros(0)
+_NOTHING_FIXED: ImageArray = np.zeros((0, 0), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,8 @@ def assess(
     with_normal_equations: bool = False,
     with_shares: bool = False,
     held_response: FloatArray | None = None,
+    fixed_mm: ImageArray | None = None,
+    with_gradient: bool = False,
 ) -> Assessment:
     """Draw bodies at poses (4, 4) each, fit the response, and see what is left.
 
@@ -90,6 +95,9 @@ def assess(
     ----------
     held_response : (5,), of the same bodies at poses not far off: but for a factor it is not fitted again, which takes
         a third of the time.
+    fixed_mm : as `path_lengths_of` has them, of bodies that stand still beside these: they explain too, and pixels
+        that these do not reach are not compared.
+    with_gradient : the right side of the normal equations alone, which takes half the time.
 
     Raises
     ------
@@ -103,7 +111,9 @@ def assess(
         bodies.packed,
         np.stack(world_from_cad),
         _constants(),
-        np.zeros(0) if held_response is None else held_response,
+        _NO_RESPONSE if held_response is None else held_response,
+        _NOTHING_FIXED if fixed_mm is None else fixed_mm,
+        with_gradient or with_normal_equations,
         with_normal_equations,
         with_shares,
     )
@@ -117,6 +127,49 @@ def assess(
         found.gradient / found.spread**2,
         found,
     )
+
+
+def path_lengths_of(target: GradientTarget, bodies: Bodies, world_from_cad: Sequence[FloatArray]) -> ImageArray:
+    """The path lengths (rows, columns) through bodies at poses (4, 4) each, all together, mm.
+
+    Raises
+    ------
+    BehindSourceError
+        A vertex is not in front of the source.
+    """
+    from screwpose.similarity import kernels
+
+    lengths_mm, nearest_mm = kernels.lengths_of(_view(target), bodies.packed, np.stack(world_from_cad), _constants())
+    _check_depth(nearest_mm)
+    return np.asarray(lengths_mm)
+
+
+def energies_of(
+    target: GradientTarget,
+    body: Bodies,
+    candidates: FloatArray,
+    held_response: FloatArray | None = None,
+    fixed_mm: ImageArray | None = None,
+) -> FloatArray:
+    """The explained energy (K,) near one body at each of K poses (K, 4, 4); see `assess` for the rest.
+
+    Raises
+    ------
+    BehindSourceError
+        A vertex is not in front of the source.
+    """
+    from screwpose.similarity import kernels
+
+    energies, nearest_mm = kernels.energies_of(
+        _view(target),
+        body.packed,
+        np.ascontiguousarray(candidates),
+        _constants(),
+        _NO_RESPONSE if held_response is None else held_response,
+        _NOTHING_FIXED if fixed_mm is None else fixed_mm,
+    )
+    _check_depth(nearest_mm)
+    return np.asarray(energies)
 
 
 def _check_depth(nearest_mm: float) -> None:
@@ -139,6 +192,7 @@ def _view(target: GradientTarget) -> "kernels.View":
         smooth[middle:],
         slope[middle:],
         np.array([0, rows, 0, columns]),
+        target.is_local,
     )
 
 
@@ -154,4 +208,9 @@ def _constants() -> Any:
         thickness.REWEIGHTED,
         thickness.SAMPLES,
         LEAST_COSINE,
+        thickness.GAIN_PX,
+        thickness.GAIN_HOLD,
+        thickness.MOST_GAIN,
+        thickness.SPREAD_PX,
+        thickness.SPREAD_HOLD,
     )

@@ -61,14 +61,11 @@ def _derivatives_of(drawn, body, values, taps, near_row, near_left, near_right, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_normal_equations(drawn, view, response, constants, total_mm, window, weights, residuals, information, gradient):
-    """Fill the normal equations of all bodies' motions: weights and residuals are (2, rows, columns) of the window."""
-    count = len(drawn.first_row)
+def steepness_of(drawn, response, constants, total_mm, window):
+    """How the response changes with the path length, s'(L), at every pixel that a body covers: as `lengths_mm`."""
     top, left = window
-    reach = len(view.smooth) - 1
-    # How the response changes with the path length, s'(L), at every pixel that a body covers.
     steepness = np.zeros(len(drawn.lengths_mm), np.float32)
-    for body in range(count):
+    for body in range(len(drawn.first_row)):
         for place in range(drawn.row_start[body], drawn.row_start[body + 1]):
             row = drawn.first_row[body] + place - drawn.row_start[body] - top
             for k in range(drawn.offset[place], drawn.offset[place + 1]):
@@ -80,6 +77,62 @@ def add_normal_equations(drawn, view, response, constants, total_mm, window, wei
                             -length / constants.saturation_mm[i]
                         )
                 steepness[k] = total
+    return steepness
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pulled_by(pulls, view):
+    """The adjoint of the derivatives: what the pulls (2, rows, columns) on the model's derivatives along u and v are
+    on the model itself, (rows, columns). The filters are odd one way and even the other, so it is they, turned round.
+    """
+    smooth, slope = view.smooth, view.slope
+    reach = len(smooth) - 1
+    _, rows, columns = pulls.shape
+    padded = np.zeros(columns + 2 * reach, np.float32)
+    filtered = np.empty((2, rows, columns), np.float32)
+    unused = np.empty(columns, np.float32)
+    for row in range(rows):
+        padded[reach : reach + columns] = pulls[0, row]
+        along_row(padded, columns, smooth, slope, unused, filtered[0, row])
+        padded[reach : reach + columns] = pulls[1, row]
+        along_row(padded, columns, smooth, slope, filtered[1, row], unused)
+    pulled = np.zeros((rows, columns), np.float32)
+    for row in range(rows):
+        for other in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            away = other - row
+            steep = slope[abs(away)] if away > 0 else -slope[abs(away)]
+            _subtract_row(filtered[0, other], filtered[1, other], smooth[abs(away)], steep, pulled[row])
+    return pulled
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def _subtract_row(first, second, of_first, of_second, total):
+    for i in range(len(total)):
+        total[i] -= of_first * first[i] + of_second * second[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_gradient(drawn, steepness, pulled, window, gradient):
+    """Fill the right side of the normal equations, (6 B,): how much the pulls on the model gain by each motion."""
+    top, left = window
+    for body in range(len(drawn.first_row)):
+        for place in range(drawn.row_start[body], drawn.row_start[body + 1]):
+            begin, end = drawn.offset[place], drawn.offset[place + 1]
+            if begin == end:
+                continue
+            row = drawn.first_row[body] + place - drawn.row_start[body] - top
+            first = drawn.first_column[place] - left
+            gained = pulled[row, first : first + end - begin] * steepness[begin:end]
+            for i in range(6):
+                gradient[6 * body + i] += np.float64(product(gained, drawn.by_motion[i, begin:end]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_information(drawn, view, steepness, window, weights, information):
+    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window."""
+    count = len(drawn.first_row)
+    top, left = window
+    reach = len(view.smooth) - 1
     near_rows = np.zeros(count, np.int64)
     rows_of = np.zeros(count + 1, np.int64)
     for body in range(count):
@@ -123,12 +176,10 @@ def add_normal_equations(drawn, view, response, constants, total_mm, window, wei
             own = slice(near_offset[place], near_offset[place + 1])
             for along in range(2):
                 weight = weights[along, y, goal : goal + width]
-                left_over = residuals[along, y, goal : goal + width]
                 for i in range(6):
                     source, result = moved[i, along, own], weighted[i, along, :width]
                     for k in range(width):
                         result[k] = weight[k] * source[k]
-                    gradient[6 * body + i] += np.float64(product(result, left_over))
             for other in range(body, count):
                 other_row = y + top - near_rows[other]
                 if other_row < 0 or other_row >= rows_of[other + 1] - rows_of[other]:
