@@ -16,26 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from screwpose._types import BoolArray, FloatArray, ImageArray
-from screwpose.similarity.thickness import GradientTarget
+from screwpose.similarity.thickness import GradientTarget, near_metal, taps
 
 # Detectors of C-arms have sigmas of 0.6 to 2 px, metals attenuate by 0.2 to 0.6 a mm, and half of the variance may be
 # in the tails. The spreads are of the logarithms of the first two, and of the tail's logit. On simulated X-rays edges
 # still lay 0.06 to 0.19 px further in: 0.03 mm, which in a free camera is a millimetre of depth.
 _USUAL = (np.log(1.2), np.log(0.3), 0.0, 0.0)
-_SPREADS = (0.35, 0.5, 1.5, 0.15)
+SPREADS = (0.35, 0.5, 1.5, 0.15)
 PARAMETERS = len(_USUAL)
 # A screen spreads light as two-sided exponentials, 1 / (1 + H f^2): a mixture of Gaussians whose variances themselves
 # are distributed exponentially. Nodes of Gauss and Laguerre: weight, variance.
-_NODES = ((0.7110930099, 0.4157745568), (0.2785177336, 2.2942803603), (0.0103892565, 6.2899450829))
+NODES = ((0.7110930099, 0.4157745568), (0.2785177336, 2.2942803603), (0.0103892565, 6.2899450829))
+LEAST_SIGMA_PX = 0.05
 _BOX = 1.0 / 12.0  # variance of the square over which a reduced image averages, and points of a model do not
 _STEP = 0.02
-_STEEP_PX = 0.8  # over which an edge's steepness is taken
+STEEP_PX = 0.8  # over which an edge's steepness is taken
 
 # A ramp rises evenly up to its knee. Sums of them are whatever rises ever more slowly.
 _KNEES_MM = (0.7, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0)
 _ROUND = 4.0  # of a knee: its width is its place over this
-_LONGEST_MM = 80.0
-_TABLE_MM = np.arange(0.0, _LONGEST_MM + 0.02, 0.02)
+LONGEST_MM = 80.0
+_TABLE_MM = np.arange(0.0, LONGEST_MM + 0.02, 0.02)
 
 _RIM_SHARE = 0.15
 _CAUCHY = 2.385  # 95 % efficiency for Gaussian residuals: Holland & Welsch (1977)
@@ -67,11 +68,11 @@ class Blur:
     def parameters(self) -> FloatArray:
         """(4,), of sigma, attenuation, tail and edge."""
         own = np.array([np.log(self.sigma_px), np.log(self.per_mm), self.tail, self.edge_px])
-        return np.asarray((own - _USUAL) / _SPREADS)
+        return np.asarray((own - _USUAL) / SPREADS)
 
     def then(self, step: FloatArray) -> "Blur":
         """With `parameters` changed by (4,)."""
-        sigma, per_mm, tail, edge_px = (self.parameters + step) * _SPREADS + _USUAL
+        sigma, per_mm, tail, edge_px = (self.parameters + step) * SPREADS + _USUAL
         return Blur(float(np.exp(sigma)), float(np.exp(per_mm)), float(tail), float(edge_px))
 
 
@@ -110,22 +111,23 @@ def explain_blurred(
     ----------
     lengths_mm : (rows, columns) of the window: the path lengths of all bodies together.
     """
-    lengths: ImageArray = np.clip(lengths_mm, 0.0, _LONGEST_MM).astype(np.float32)
-    near = np.flatnonzero(_near(lengths, target.blur_px) & target.counts[window])
+    lengths: ImageArray = np.clip(lengths_mm, 0.0, LONGEST_MM).astype(np.float32)
+    near = np.flatnonzero(near_metal(target, lengths) & target.counts[window])
     if not len(near):
         return None
     seen = np.concatenate([image[window].ravel()[near] for image in (target.along_u, target.along_v)]).astype(float)
-    table = np.stack([_ramp(knee) for knee in _KNEES_MM])
-    own_px = _model_px(target)
+    table = ramps()
+    own_px = model_px(target)
     through = _blurred(lengths, blur, target.scale)
-    rows = np.stack([smoothed_derivatives(_looked_up(one, through), own_px, near).ravel() for one in table])
+    rows = np.stack([smoothed_derivatives(_looked_up(one, through), own_px, near, target.mean_px).ravel() for one in table])
     response, residuals, weights, spread = _fitted(rows, seen)
     curve = response @ table
     image = _looked_up(curve, through)
     by_blur = []
     for step in np.eye(PARAMETERS) * _STEP:
         moved = _looked_up(curve, _blurred(lengths, blur.then(step), target.scale))
-        by_blur.append(smoothed_derivatives((moved - image) / np.float32(_STEP), own_px, near).ravel())
+        changed = (moved - image) / np.float32(_STEP)
+        by_blur.append(smoothed_derivatives(changed, own_px, near, target.mean_px).ravel())
     return BlurredView(
         near=near,
         residuals=residuals,
@@ -150,13 +152,21 @@ def derivatives_of_bodies(
     """
     near = np.flatnonzero(inside)
     return np.stack(
-        [smoothed_derivatives(slope * by_motion[:, :, k], _total_px(target, blur), near) for k in range(6)]
+        [
+            smoothed_derivatives(slope * by_motion[:, :, k], total_px(target, blur), near, target.mean_px)
+            for k in range(6)
+        ]
     ).astype(float)
 
 
-def smoothed_derivatives(image: Rows, sigma_px: float, near: NDArray[np.intp]) -> Gradients:
-    """Derivatives of an image smoothed by a Gaussian, along u and along v, (2, N), at N flat indices."""
-    smooth, slope, _ = _kernels(sigma_px)
+def smoothed_derivatives(image: Rows, sigma_px: float, near: NDArray[np.intp], mean_px: int = 0) -> Gradients:
+    """Derivatives of an image smoothed by a Gaussian, along u and along v, (2, N), at N flat indices.
+
+    Parameters
+    ----------
+    mean_px : see `thickness.taps`.
+    """
+    smooth, slope = taps(sigma_px, mean_px)
     return np.stack([_filtered(image, slope, smooth).ravel()[near], _filtered(image, smooth, slope).ravel()[near]])
 
 
@@ -166,24 +176,39 @@ def _by_intrinsics(
     """With x and y the pixels from the principal point and m the image: a principal point that is further along u by 1
     makes ``-m_u`` of it, a focal length that is longer by a share e ``-e (x m_u + y m_v)``, which is
     ``-e ((x m)_u + (y m)_v - 2 m)``: convolutions of m, x m and y m, in which nothing is singular at the rims."""
-    smooth, slope, curve = _kernels(sigma_px)
+    smooth, slope = taps(sigma_px, target.mean_px)
+    plain, curve = _differences(sigma_px, target.mean_px)
     x = (np.arange(window[1].start, window[1].stop) - target.intrinsics[0, 2]).astype(np.float32)
     y = (np.arange(window[0].start, window[0].stop) - target.intrinsics[1, 2]).astype(np.float32)
     across, down = image * x, image * y[:, None]
-    uu, uv, vv = _filtered(image, curve, smooth), _filtered(image, slope, slope), _filtered(image, smooth, curve)
-    focal_u = _filtered(across, curve, smooth) + _filtered(down, slope, slope) - 2 * _filtered(image, slope, smooth)
-    focal_v = _filtered(across, slope, slope) + _filtered(down, smooth, curve) - 2 * _filtered(image, smooth, slope)
-    columns = [(focal_u, focal_v), (uu / target.scale, uv / target.scale), (uv / target.scale, vv / target.scale)]
+    uu, uv = _filtered(image, curve, smooth), _filtered(image, slope, plain)
+    vu, vv = _filtered(image, plain, slope), _filtered(image, smooth, curve)
+    focal_u = _filtered(across, curve, smooth) + _filtered(down, slope, plain) - 2 * _filtered(image, slope, smooth)
+    focal_v = _filtered(across, plain, slope) + _filtered(down, smooth, curve) - 2 * _filtered(image, smooth, slope)
+    columns = [(focal_u, focal_v), (uu / target.scale, vu / target.scale), (uv / target.scale, vv / target.scale)]
     return -np.stack([np.concatenate([one.ravel()[near] for one in pair]) for pair in columns]).astype(float)
 
 
-def _model_px(target: GradientTarget) -> float:
+def _differences(sigma_px: float, mean_px: int) -> Sequence[Gradients]:
+    """The derivatives of the taps of `thickness.taps`: of the Gaussian, and of what takes the derivative."""
+    reach = (len(taps(sigma_px, mean_px)[0]) - 1) // 2
+    x = np.arange(-reach, reach + 1, dtype=np.float64)
+    smooth = np.exp(-0.5 * (x / sigma_px) ** 2)
+    smooth /= smooth.sum()
+    curve = (x**2 / sigma_px**4 - sigma_px**-2) * smooth
+    if mean_px:
+        curve -= np.convolve(curve, np.full(mean_px, 1.0 / mean_px), mode="same")
+    return (x / sigma_px**2 * smooth).astype(np.float32), curve.astype(np.float32)
+
+
+def model_px(target: GradientTarget) -> float:
     """The smoothing of a model of points that makes it as smooth as the target."""
     return float(np.sqrt(target.blur_px**2 + (_BOX if target.scale > 1 else 0.0)))
 
 
-def _total_px(target: GradientTarget, blur: Blur) -> float:
-    return float(np.hypot(_model_px(target), blur.sigma_px / target.scale))
+def total_px(target: GradientTarget, blur: Blur) -> float:
+    """The same, and of the blur before: what a change of the path lengths is smoothed by, about."""
+    return float(np.hypot(model_px(target), blur.sigma_px / target.scale))
 
 
 def _blurred(lengths_mm: ImageArray, blur: Blur, scale: int) -> ImageArray:
@@ -191,25 +216,15 @@ def _blurred(lengths_mm: ImageArray, blur: Blur, scale: int) -> ImageArray:
     lit = np.exp(np.float32(-blur.per_mm) * lengths_mm)
     around = np.zeros_like(lit)
     tail = 1.0 / (1.0 + np.exp(-blur.tail))
-    for weight, share in _NODES:
+    for weight, share in NODES:
         sigma_px = blur.sigma_px / scale * float(np.sqrt(1.0 - tail + tail * share))
-        smooth, _, _ = _kernels(max(sigma_px, 0.05))
+        smooth, _ = taps(max(sigma_px, LEAST_SIGMA_PX))
         around += np.float32(weight) * _filtered(lit, smooth, smooth)
     seen = np.log(np.maximum(around, 1e-30)) / np.float32(-blur.per_mm)
-    smooth, slope, _ = _kernels(_STEEP_PX)
+    smooth, slope = taps(STEEP_PX)
     steep = np.hypot(_filtered(seen, slope, smooth), _filtered(seen, smooth, slope))
     shifted = seen + np.float32(blur.edge_px / scale) * steep
-    return np.asarray(np.clip(shifted, 0.0, _LONGEST_MM), dtype=np.float32)
-
-
-def _kernels(sigma_px: float) -> Sequence[NDArray[np.float32]]:
-    """A Gaussian and its first two derivatives; OpenCV correlates, so the odd one is turned round."""
-    reach = max(1, int(np.ceil(4.0 * sigma_px)))
-    x = np.arange(-reach, reach + 1, dtype=np.float64)
-    smooth = np.exp(-0.5 * (x / sigma_px) ** 2)
-    smooth /= smooth.sum()
-    kernels = (smooth, x / sigma_px**2 * smooth, (x**2 / sigma_px**4 - sigma_px**-2) * smooth)
-    return [kernel.astype(np.float32) for kernel in kernels]
+    return np.asarray(np.clip(shifted, 0.0, LONGEST_MM), dtype=np.float32)
 
 
 def _filtered(image: FloatArray | ImageArray, along_u: Gradients, along_v: Gradients) -> Gradients:
@@ -219,13 +234,9 @@ def _filtered(image: FloatArray | ImageArray, along_u: Gradients, along_v: Gradi
     return np.asarray(cv2.sepFilter2D(pixels, cv2.CV_32F, along_u, along_v, borderType=cv2.BORDER_REPLICATE))
 
 
-def _near(lengths_mm: Rows, blur_px: float) -> BoolArray:
-    """The pixels whose derivatives metal reaches."""
-    import cv2
-
-    reach = int(np.ceil(4.0 * blur_px))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return np.asarray(cv2.dilate((lengths_mm > 0.0).view(np.uint8), disc).view(np.bool_))
+def ramps() -> FloatArray:
+    """(9, entries), the ramps at the path lengths of the table."""
+    return np.stack([_ramp(knee) for knee in _KNEES_MM])
 
 
 def _ramp(knee_mm: float) -> FloatArray:

@@ -65,7 +65,6 @@ def add_normal_equations(drawn, view, response, constants, total_mm, window, wei
     """Fill the normal equations of all bodies' motions: weights and residuals are (2, rows, columns) of the window."""
     count = len(drawn.first_row)
     top, left = window
-    reach = len(view.smooth) - 1
     # How the response changes with the path length, s'(L), at every pixel that a body covers.
     steepness = np.zeros(len(drawn.lengths_mm), np.float32)
     for body in range(count):
@@ -80,15 +79,34 @@ def add_normal_equations(drawn, view, response, constants, total_mm, window, wei
                             -length / constants.saturation_mm[i]
                         )
                 steepness[k] = total
+    add_motions(
+        drawn, (view.smooth, view.slope), view.bounds, steepness, window, weights, residuals, information, gradient
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_motions(drawn, taps, bounds, steepness, window, weights, residuals, information, gradient):
+    """The same from how the response changes at every pixel that a body covers, `steepness`, in the order of the drawn
+    lengths.
+
+    Returns
+    -------
+    How the derivatives change, (6, 2, n), and where they stand: of each body its first row, and where its rows are
+    among all; of each row its first column, its last, and its offset.
+    """
+    count = len(drawn.first_row)
+    top, left = window
+    smooth, slope = taps
+    reach = len(smooth) - 1
     near_rows = np.zeros(count, np.int64)
     rows_of = np.zeros(count + 1, np.int64)
     for body in range(count):
-        near_rows[body], lefts, rights = near_spans(drawn, body, reach, view.bounds)
+        near_rows[body], lefts, rights = near_spans(drawn, body, reach, bounds)
         rows_of[body + 1] = rows_of[body] + len(lefts)
     near_left, near_right = np.empty(rows_of[count], np.int64), np.empty(rows_of[count], np.int64)
     near_offset = np.zeros(rows_of[count] + 1, np.int64)
     for body in range(count):
-        _, lefts, rights = near_spans(drawn, body, reach, view.bounds)
+        _, lefts, rights = near_spans(drawn, body, reach, bounds)
         for row in range(len(lefts)):
             place = rows_of[body] + row
             near_left[place], near_right[place] = lefts[row], max(rights[row], lefts[row])
@@ -105,7 +123,7 @@ def add_normal_equations(drawn, view, response, constants, total_mm, window, wei
             for place in range(drawn.offset[first], drawn.offset[end]):
                 values[place] = steepness[place] * drawn.by_motion[k, place]
             _derivatives_of(
-                drawn, body, values, (view.smooth, view.slope), near_rows[body], near_left[own_rows],
+                drawn, body, values, (smooth, slope), near_rows[body], near_left[own_rows],
                 near_right[own_rows], near_offset[own_rows] - begin, smoothed, sloped, moved[k, :, begin:last],
             )  # fmt: skip
     widest = 0
@@ -150,3 +168,4 @@ def add_normal_equations(drawn, view, response, constants, total_mm, window, wei
     for i in range(6 * count):
         for j in range(i):
             information[i, j] = information[j, i]
+    return moved, near_rows, rows_of, near_left, near_right, near_offset
