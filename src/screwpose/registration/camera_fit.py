@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from screwpose._threads import in_threads
 from screwpose._types import FloatArray
 from screwpose.geometry import Camera, rigid
 from screwpose.geometry.correction import PARAMETERS, CameraCorrection, CameraSigma, points_by_correction
@@ -130,12 +131,14 @@ def camera_system(
     information, gradient = np.zeros((size, size)), np.zeros(size)
     poses = state.world_from_cad
     centers = [rigid.transform(pose, body.implant.center_mm) for body, pose in zip(bodies, poses, strict=True)]
-    energies = []
-    for k, (target, view, correction, blur) in enumerate(
-        zip(targets, views, state.corrections, state.blurs, strict=True)
-    ):
-        found = view_system(corrected_target(target, view.camera, correction, pivot_mm), bodies, poses, blur)
-        energies.append(found.energy)
+    corrected_targets = [
+        corrected_target(target, view.camera, correction, pivot_mm)
+        for target, view, correction in zip(targets, views, state.corrections, strict=True)
+    ]
+    seen = in_threads(
+        lambda one: view_system(one[0], bodies, poses, one[1]), zip(corrected_targets, state.blurs, strict=True)
+    )
+    for k, (found, view, correction, blur) in enumerate(zip(seen, views, state.corrections, state.blurs, strict=True)):
         unknowns = _unknowns(view, centers, pivot_mm, first + _OF_VIEW * k, size)
         information += unknowns.T @ found.information @ unknowns
         gradient += unknowns.T @ found.gradient
@@ -152,7 +155,7 @@ def camera_system(
             residuals, slopes = _mark_rows(bodies, index, views, state, corrected, pivot_mm, mark_sigma_px)
             information += slopes.T @ slopes
             gradient += slopes.T @ residuals
-    return CameraSystem(information, gradient, tuple(energies))
+    return CameraSystem(information, gradient, tuple(found.energy for found in seen))
 
 
 def _unknowns(

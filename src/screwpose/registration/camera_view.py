@@ -1,4 +1,4 @@
-"""One view's part of the normal equations for poses and cameras."""
+"""One view's part of the normal equations for poses and cameras; `view_system_in_numpy` is the reference."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.projection.thickness import MotionFrame, path_lengths
-from screwpose.registration.thickness_fit import Body
+from screwpose.registration.thickness_fit import Body, packed
 from screwpose.similarity.blurred import PARAMETERS as OF_BLUR
 from screwpose.similarity.blurred import Blur, derivatives_of_bodies, explain_blurred
+from screwpose.similarity.blurred_assessment import assess_blurred
 from screwpose.similarity.thickness import GradientTarget
 
 OF_INTRINSICS = 3
@@ -48,6 +49,15 @@ def view_system(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[
 
     A body's motion is a rotation vector in world about its centre, then a shift in world.
     """
+    found = assess_blurred(target, packed(bodies, target.scale), poses, blur)
+    alike = _pixels_that_count_as_one(target, bodies, poses)
+    return ViewSystem(found.information / alike, found.gradient / alike, found.energy)
+
+
+def view_system_in_numpy(
+    target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray], blur: Blur
+) -> ViewSystem:
+    """The same by NumPy and OpenCV, of the full meshes, within windows about the bodies."""
     first = 6 * len(bodies)
     size = first + OF_IMAGE
     windows = [_window(target, body, pose) for body, pose in zip(bodies, poses, strict=True)]
@@ -74,14 +84,14 @@ def view_system(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[
         columns[6 * index : 6 * index + 6, count + used] = moved[:, 1]
     columns[first : first + OF_INTRINSICS] = found.by_intrinsics
     columns[first + OF_INTRINSICS :] = found.by_blur
-    pixel_mm = float(np.mean([_depth_mm(target, body, pose) for body, pose in zip(bodies, poses, strict=True)]))
-    pixel_mm /= target.intrinsics[0, 0]
-    weighted = columns * (found.weights / (found.spread**2 * max(_CORRELATED_PX, _CORRELATED_MM2 / pixel_mm**2)))
+    weighted = columns * (found.weights / (found.spread**2 * _pixels_that_count_as_one(target, bodies, poses)))
     return ViewSystem(weighted @ columns.T, weighted @ found.residuals, found.energy)
 
 
-def _depth_mm(target: GradientTarget, body: Body, pose: FloatArray) -> float:
-    return float(rigid.transform(target.camera_from_world @ pose, body.implant.center_mm)[2])
+def _pixels_that_count_as_one(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray]) -> float:
+    centers = [rigid.transform(pose, body.implant.center_mm) for body, pose in zip(bodies, poses, strict=True)]
+    depth_mm = float(np.mean(rigid.transform(target.camera_from_world, np.stack(centers))[:, 2]))
+    return max(_CORRELATED_PX, _CORRELATED_MM2 * (target.intrinsics[0, 0] / depth_mm) ** 2)
 
 
 def _rendered(
