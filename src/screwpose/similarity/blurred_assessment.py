@@ -18,6 +18,8 @@ from screwpose.similarity.thickness import GradientArray, GradientTarget, taps
 if TYPE_CHECKING:
     from screwpose.similarity import blurred_kernels
 
+OF_IMAGE = 7
+_RIDGE = 1e-6  # ramps resemble each other
 _VARIANCE_STEP = 0.01  # relative, of differences
 
 
@@ -68,6 +70,7 @@ def assess_blurred(
     limits = blurred_kernels.Limits(
         blurred.LONGEST_MM,
         thickness.LEAST_MM,
+        blurred.LEAST_LIT,
         thickness.RIM_SHARE,
         thickness.CAUCHY,
         thickness.REWEIGHTED,
@@ -79,9 +82,24 @@ def assess_blurred(
     )
     if not found.nearest_mm > 0.0:
         raise BehindSourceError(f"a vertex at a depth of {found.nearest_mm:.4g} mm is not in front of the X-ray source")
-    return BlurredAssessment(
-        found.energy, found.spread, found.information / found.spread**2, found.gradient / found.spread**2
-    )
+    information, gradient = without_response(found.information, found.gradient, 6 * len(world_from_cad) + OF_IMAGE)
+    return BlurredAssessment(found.energy, found.spread, information / found.spread**2, gradient / found.spread**2)
+
+
+def without_response(information: FloatArray, gradient: FloatArray, kept: int) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of the first unknowns, the others free: the response adapts to whatever moves.
+
+    With the response held, steps fall short in just the directions that are weak, where a wider shadow and a steeper
+    response look alike.
+    """
+    if len(gradient) == kept:
+        return information, gradient
+    own = information[kept:, kept:]
+    own = own + _RIDGE * np.diag(np.diag(own) + 1e-300)
+    across = information[:kept, kept:]
+    through = np.linalg.solve(own, np.column_stack([across.T, gradient[kept:]]))
+    reduced = information[:kept, :kept] - across @ through[:, :-1]
+    return 0.5 * (reduced + reduced.T), gradient[:kept] - across @ through[:, -1]
 
 
 @lru_cache(maxsize=1)

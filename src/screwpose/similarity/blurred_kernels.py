@@ -37,12 +37,14 @@ Motion = namedtuple("Motion", ["smooth", "slope"])
 """Taps by which the change of a path length shows: the model's, and the blur's before."""
 
 Found = namedtuple("Found", ["energy", "spread", "information", "gradient", "nearest_mm"])
-"""information (6 B + 7, 6 B + 7) and gradient (6 B + 7,), in units of 1 over the squared spread of one pixel."""
+"""information (6 B + 7 + n, ...) and gradient (6 B + 7 + n,), in units of 1 over the squared spread of one pixel: of the
+bodies, of the image, and of the response's n weights that are not 0."""
 
 Limits = namedtuple(
-    "Limits", ["longest_mm", "least_mm", "rim_share", "cauchy", "reweighted", "samples", "least_cosine"]
+    "Limits",
+    ["longest_mm", "least_mm", "least_lit", "rim_share", "cauchy", "reweighted", "samples", "least_cosine"],
 )
-"""See `thickness`, where they are set."""
+"""See `thickness` and `blurred`, where they are set."""
 
 OF_IMAGE = 7
 _MARGIN = 2  # of what differences of neighbours need
@@ -138,7 +140,12 @@ def assess_blurred(view, bodies, world_from_cad, spread, motion, table, per_tabl
                     rise * (np.float64(table[above, term]) - np.float64(table[below, term])) / (above - below)
                 )
     _look_up(steepness, per_table_mm, through, wide, left, shown)
-    columns = np.empty((OF_IMAGE, 2, packed), np.float32)
+    active = np.flatnonzero(response > 0.0)
+    columns = np.empty((OF_IMAGE + len(active), 2, packed), np.float32)
+    for k in range(len(active)):
+        columns[OF_IMAGE + k] = basis[active[k]]
+    size = first + len(columns)
+    information, gradient = np.zeros((size, size)), np.zeros(size)
     _by_intrinsics(model, near, view, columns)
     changed = np.zeros(shape, np.float32)
     for k in range(4):
@@ -226,6 +233,7 @@ def _through_blur(total_mm, wide, left, spread, px_per_px, scratch, limits):
     """The lengths that the blurred intensity seems to have passed, and how they change with the blur, (4,): sigma,
     attenuation, tail, edge. Clips the lengths in place."""
     rows, columns = total_mm.shape
+    seen = np.float32(1.0 - limits.least_lit)
     absorbed, lit_mm = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
     begins, ends = np.full(rows, columns), np.zeros(rows, np.int64)
     for row in range(rows):
@@ -236,8 +244,8 @@ def _through_blur(total_mm, wide, left, spread, px_per_px, scratch, limits):
                     length = min(max(length, np.float32(0.0)), np.float32(limits.longest_mm))
                     total_mm[row, x] = length
                     lit = np.exp(np.float32(-spread.per_mm) * length)
-                    absorbed[row, x] = np.float32(1.0) - lit
-                    lit_mm[row, x] = length * lit
+                    absorbed[row, x] = seen * (np.float32(1.0) - lit)
+                    lit_mm[row, x] = seen * length * lit
                     begins[row], ends[row] = min(begins[row], x), x + 1
     around = np.zeros((4, rows, columns), np.float32)  # absorbed, its changes with sigma and tail, lit_mm
     part, change = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
@@ -286,7 +294,7 @@ def _through_blur(total_mm, wide, left, spread, px_per_px, scratch, limits):
     for row in range(rows):
         for run in range(wide.run_start[row], wide.run_start[row + 1]):
             for x in range(wide.first_column[run] - left, wide.last_column[run] - left):
-                lit = max(np.float32(1.0) - around[0, row, x], np.float32(1e-30))
+                lit = max(np.float32(1.0) - around[0, row, x], np.float32(limits.least_lit))
                 length = -np.log(lit) * per_mm
                 through[row, x] = length
                 rise = per_mm / lit
@@ -421,20 +429,20 @@ def _by_intrinsics(model, near, view, columns):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add_columns(columns, weights, residuals, near, moved, count, information, gradient):
     """The normal equations of what moves the image, with each other and with the bodies' motions."""
-    first = 6 * count
+    first, size = 6 * count, len(columns)
     packed = len(weights[0])
-    weighted = np.empty((OF_IMAGE, 2, packed), np.float32)
-    for k in range(OF_IMAGE):
+    weighted = np.empty((size, 2, packed), np.float32)
+    for k in range(size):
         for along in range(2):
             for i in range(packed):
                 weighted[k, along, i] = columns[k, along, i] * weights[along, i]
     for along in range(2):
         for begin in range(0, packed, 512):
             end = min(begin + 512, packed)
-            for k in range(OF_IMAGE):
+            for k in range(size):
                 part = weighted[k, along, begin:end]
                 gradient[first + k] += np.float64(product(part, residuals[along, begin:end]))
-                for j in range(k, OF_IMAGE):
+                for j in range(k, size):
                     information[first + k, first + j] += np.float64(product(part, columns[j, along, begin:end]))
     values, near_rows, rows_of, near_left, near_right, near_offset = moved
     for body in range(count):
@@ -454,10 +462,10 @@ def _add_columns(columns, weights, residuals, near, moved, count, information, g
                 for along in range(2):
                     for i in range(6):
                         source = values[i, along, begin + shift : end + shift]
-                        for k in range(OF_IMAGE):
+                        for k in range(size):
                             information[6 * body + i, first + k] += np.float64(
                                 product(source, weighted[k, along, begin + its : end + its])
                             )
-    for i in range(first + OF_IMAGE):
-        for j in range(max(i, first), first + OF_IMAGE):
+    for i in range(first + size):
+        for j in range(max(i, first), first + size):
             information[j, i] = information[i, j]
