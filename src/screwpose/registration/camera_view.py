@@ -11,7 +11,7 @@ from screwpose.geometry import rigid
 from screwpose.projection.thickness import MotionFrame, path_lengths
 from screwpose.registration.thickness_fit import Body, packed
 from screwpose.similarity.blurred import PARAMETERS as OF_BLUR
-from screwpose.similarity.blurred import Blur, derivatives_of_bodies, explain_blurred
+from screwpose.similarity.blurred import FINE, Blur, derivatives_of_bodies, explain_blurred, without_response
 from screwpose.similarity.blurred_assessment import assess_blurred
 from screwpose.similarity.thickness import GradientTarget
 
@@ -63,18 +63,20 @@ def view_system_in_numpy(
     windows = [_window(target, body, pose) for body, pose in zip(bodies, poses, strict=True)]
     window = (_spanned([one[0] for one in windows]), _spanned([one[1] for one in windows]))
     lengths: FloatArray = np.zeros((window[0].stop - window[0].start, window[1].stop - window[1].start))
+    fine: FloatArray = np.zeros((FINE * lengths.shape[0], FINE * lengths.shape[1]))
     motions = []
     for body, pose, own in zip(bodies, poses, windows, strict=True):
         alone, by_motion = _rendered(target, body, pose, own)
         lengths[_inside(own, window)] += alone
         motions.append(by_motion)
-    found = explain_blurred(target, lengths, window, blur)
+        fine += _finely_rendered(target, body, pose, window)
+    found = explain_blurred(target, lengths, window, blur, fine)
     if found is None:
         return ViewSystem(np.zeros((size, size)), np.zeros(size), 0.0)
     count = len(found.near)
     place: NDArray[np.int64] = np.full(lengths.shape, -1, dtype=np.int64)
     place.ravel()[found.near] = np.arange(count)
-    columns = np.zeros((size, 2 * count))
+    columns = np.zeros((size + len(found.by_response), 2 * count))
     for index, (own, by_motion) in enumerate(zip(windows, motions, strict=True)):
         where = place[_inside(own, window)]
         slope = found.slope[_inside(own, window)]
@@ -83,9 +85,10 @@ def view_system_in_numpy(
         columns[6 * index : 6 * index + 6, used] = moved[:, 0]
         columns[6 * index : 6 * index + 6, count + used] = moved[:, 1]
     columns[first : first + OF_INTRINSICS] = found.by_intrinsics
-    columns[first + OF_INTRINSICS :] = found.by_blur
+    columns[first + OF_INTRINSICS : size] = found.by_blur
+    columns[size:] = found.by_response
     weighted = columns * (found.weights / (found.spread**2 * _pixels_that_count_as_one(target, bodies, poses)))
-    return ViewSystem(weighted @ columns.T, weighted @ found.residuals, found.energy)
+    return ViewSystem(*without_response(weighted @ columns.T, weighted @ found.residuals, size), found.energy)
 
 
 def _pixels_that_count_as_one(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray]) -> float:
@@ -103,6 +106,15 @@ def _rendered(
     found = path_lengths(target.intrinsics, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, window, frame)
     assert found.by_motion is not None
     return found.lengths_mm, found.by_motion
+
+
+def _finely_rendered(target: GradientTarget, body: Body, pose: FloatArray, window: Window) -> FloatArray:
+    """The path lengths of every pixel's parts; the parts' middles are about the pixel's own."""
+    K = target.intrinsics * [[FINE], [FINE], [1.0]]
+    K[:2, 2] += 0.5 * (FINE - 1)
+    rows, columns = (slice(FINE * part.start, FINE * part.stop) for part in window)
+    camera_from_cad = target.camera_from_world @ pose
+    return path_lengths(K, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, (rows, columns)).lengths_mm
 
 
 def _window(target: GradientTarget, body: Body, pose: FloatArray) -> Window:

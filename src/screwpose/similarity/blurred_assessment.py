@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from screwpose.similarity import blurred_kernels
 
 OF_IMAGE = 7
-_RIDGE = 1e-6  # ramps resemble each other
 _VARIANCE_STEP = 0.01  # relative, of differences
 
 
@@ -65,6 +64,7 @@ def assess_blurred(
         slope,
         len(taps(target.blur_px, target.mean_px)[0]) // 2,
         1.0 / target.scale,
+        blurred.FINE,
     )
     motion = blurred_kernels.Motion(*_halves(*taps(blurred.total_px(target, blur), target.mean_px)))
     limits = blurred_kernels.Limits(
@@ -82,24 +82,8 @@ def assess_blurred(
     )
     if not found.nearest_mm > 0.0:
         raise BehindSourceError(f"a vertex at a depth of {found.nearest_mm:.4g} mm is not in front of the X-ray source")
-    information, gradient = without_response(found.information, found.gradient, 6 * len(world_from_cad) + OF_IMAGE)
+    information, gradient = blurred.without_response(found.information, found.gradient, 6 * len(world_from_cad) + OF_IMAGE)
     return BlurredAssessment(found.energy, found.spread, information / found.spread**2, gradient / found.spread**2)
-
-
-def without_response(information: FloatArray, gradient: FloatArray, kept: int) -> tuple[FloatArray, FloatArray]:
-    """Normal equations of the first unknowns, the others free: the response adapts to whatever moves.
-
-    With the response held, steps fall short in just the directions that are weak, where a wider shadow and a steeper
-    response look alike.
-    """
-    if len(gradient) == kept:
-        return information, gradient
-    own = information[kept:, kept:]
-    own = own + _RIDGE * np.diag(np.diag(own) + 1e-300)
-    across = information[:kept, kept:]
-    through = np.linalg.solve(own, np.column_stack([across.T, gradient[kept:]]))
-    reduced = information[:kept, :kept] - across @ through[:, :-1]
-    return 0.5 * (reduced + reduced.T), gradient[:kept] - across @ through[:, -1]
 
 
 @lru_cache(maxsize=1)

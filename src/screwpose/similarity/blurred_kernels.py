@@ -21,11 +21,11 @@ from screwpose.similarity.response_kernels import fit_response
 
 View = namedtuple(
     "View",
-    ["intrinsics", "camera_from_world", "along_u", "along_v", "counts", "smooth", "slope", "reach", "px_per_px"],
+    ["intrinsics", "camera_from_world", "along_u", "along_v", "counts", "smooth", "slope", "reach", "px_per_px", "fine"],
 )
 """One X-ray: see `thickness.GradientTarget`. smooth, slope (taps + 1,): of the model's smoothing and of its derivative,
 from the middle outwards. reach: how far from metal derivatives are compared. px_per_px: how much of a pixel here one of
-the whole X-ray is."""
+the whole X-ray is. fine: each pixel is drawn as so many by so many rays."""
 
 Spread = namedtuple("Spread", ["smooth", "change", "weights", "by_sigma", "by_tail", "per_mm", "edge_px", "by_edge",
                                "by_per_mm", "steep_smooth", "steep_slope"])  # fmt: skip
@@ -84,17 +84,27 @@ def assess_blurred(view, bodies, world_from_cad, spread, motion, table, per_tabl
     left -= pad  # so that filters find their zeros
     shape = (rows, right + pad - left)
     window = (wide.first_row, left)
-    total_mm, flags = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    flags = np.zeros(shape, np.uint8)
     for body in range(count):
-        for place in range(drawn.row_start[body], drawn.row_start[body + 1]):
-            row = drawn.first_row[body] + place - drawn.row_start[body] - wide.first_row
-            for k in range(drawn.offset[place], drawn.offset[place + 1]):
-                total_mm[row, drawn.first_column[place] + k - drawn.offset[place] - left] += np.float32(
-                    drawn.lengths_mm[k]
-                )
         mark_near(drawn, body, view.reach, limits.least_mm, bounds, window, flags)
+    fine_mm = np.zeros((view.fine * rows, view.fine * shape[1]), np.float32)
+    finer = drawn
+    if view.fine > 1:
+        K = view.intrinsics.copy()
+        K[:2] *= view.fine
+        K[:2, 2] += 0.5 * (view.fine - 1)
+        finer = draw(
+            K, view.camera_from_world, world_from_cad, bodies.centers_mm, bodies.vertices_mm, bodies.vertex_start,
+            bodies.faces, bodies.face_start, view.fine * bounds, False, limits.least_cosine,
+        )  # fmt: skip
+    for body in range(count):
+        for place in range(finer.row_start[body], finer.row_start[body + 1]):
+            row = finer.first_row[body] + place - finer.row_start[body] - view.fine * wide.first_row
+            shift = finer.first_column[place] - finer.offset[place] - view.fine * left
+            for k in range(finer.offset[place], finer.offset[place + 1]):
+                fine_mm[row, k + shift] += np.float32(finer.lengths_mm[k])
     scratch = np.zeros((3, *shape), np.float32)
-    through, by_blur = _through_blur(total_mm, wide, left, spread, view.px_per_px, scratch, limits)
+    through, by_blur = _through_blur(shape, fine_mm, wide, left, spread, view.px_per_px, scratch, limits)
     scratch[:] = np.float32(0.0)
     near = near_runs(drawn, view.reach + _MARGIN, bounds)
     packed = near.offset[-1]
@@ -130,16 +140,7 @@ def assess_blurred(view, bodies, world_from_cad, spread, motion, table, per_tabl
     weights, model, residuals = np.empty_like(image), np.empty_like(image), np.empty_like(image)
     response, sigma = fit_response(basis, image, mask, weights, model, residuals, limits)
     energy = 1.0 - _energy(residuals, mask) / max(_energy(image, mask), 1e-300)
-    steepness = np.zeros(table.shape[0], np.float32)
-    for term in range(terms):
-        rise = response[term] / norms[term] * per_table_mm
-        if rise > 0.0:
-            for entry in range(table.shape[0]):
-                above, below = min(entry + 1, table.shape[0] - 1), max(entry - 1, 0)
-                steepness[entry] += np.float32(
-                    rise * (np.float64(table[above, term]) - np.float64(table[below, term])) / (above - below)
-                )
-    _look_up(steepness, per_table_mm, through, wide, left, shown)
+    _look_up(_steepness(table, per_table_mm, response / norms), per_table_mm, through, wide, left, shown)
     active = np.flatnonzero(response > 0.0)
     columns = np.empty((OF_IMAGE + len(active), 2, packed), np.float32)
     for k in range(len(active)):
@@ -175,6 +176,19 @@ def assess_blurred(view, bodies, world_from_cad, spread, motion, table, per_tabl
     )  # fmt: skip
     _add_columns(columns, weights, residuals, near, moved, count, information, gradient)
     return Found(energy, sigma, information, gradient, drawn.nearest_mm)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _steepness(table, per_mm, response):
+    """How the response changes with the length, per mm, at the table's entries."""
+    steepness = np.zeros(table.shape[0], np.float32)
+    for term in range(len(response)):
+        if response[term] > 0.0:
+            for entry in range(table.shape[0]):
+                above, below = min(entry + 1, table.shape[0] - 1), max(entry - 1, 0)
+                rise = (np.float64(table[above, term]) - np.float64(table[below, term])) / (above - below)
+                steepness[entry] += np.float32(response[term] * per_mm * rise)
+    return steepness
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
@@ -229,24 +243,26 @@ def _length(taps):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _through_blur(total_mm, wide, left, spread, px_per_px, scratch, limits):
+def _through_blur(shape, total_mm, wide, left, spread, px_per_px, scratch, limits):
     """The lengths that the blurred intensity seems to have passed, and how they change with the blur, (4,): sigma,
     attenuation, tail, edge. Clips the lengths in place."""
-    rows, columns = total_mm.shape
+    rows, columns = shape
     seen = np.float32(1.0 - limits.least_lit)
     absorbed, lit_mm = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)
     begins, ends = np.full(rows, columns), np.zeros(rows, np.int64)
+    fine, parts = total_mm.shape[0] // rows, np.float32(1.0 / (total_mm.shape[0] // rows) ** 2)
     for row in range(rows):
         for run in range(wide.run_start[row], wide.run_start[row + 1]):
             for x in range(wide.first_column[run] - left, wide.last_column[run] - left):
-                length = total_mm[row, x]
-                if length != np.float32(0.0):
-                    length = min(max(length, np.float32(0.0)), np.float32(limits.longest_mm))
-                    total_mm[row, x] = length
-                    lit = np.exp(np.float32(-spread.per_mm) * length)
-                    absorbed[row, x] = seen * (np.float32(1.0) - lit)
-                    lit_mm[row, x] = seen * length * lit
-                    begins[row], ends[row] = min(begins[row], x), x + 1
+                for i in range(fine):
+                    for j in range(fine):
+                        length = total_mm[fine * row + i, fine * x + j]
+                        if length != np.float32(0.0):
+                            length = min(max(length, np.float32(0.0)), np.float32(limits.longest_mm))
+                            lit = np.exp(np.float32(-spread.per_mm) * length)
+                            absorbed[row, x] += parts * seen * (np.float32(1.0) - lit)
+                            lit_mm[row, x] += parts * seen * length * lit
+                            begins[row], ends[row] = min(begins[row], x), x + 1
     around = np.zeros((4, rows, columns), np.float32)  # absorbed, its changes with sigma and tail, lit_mm
     part, change = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
     for component in range(len(spread.weights)):
