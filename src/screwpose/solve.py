@@ -214,12 +214,17 @@ def _registered_by_thickness(
     chosen, *others = sorted(judged, key=_ORDERS[options.method])
     assert chosen.found is not None
     assert chosen.quality is not None
-    if chosen.quality.cameras is not None:  # settled before its cameras were freed
-        return [chosen, *others]
     found, quality = settle_by_thickness(
-        case, thickness, chosen.combination, chosen.found, options.noise, _within(tell, 0.7, 1.0)
+        case,
+        thickness,
+        chosen.combination,
+        chosen.found,
+        options.noise,
+        _within(tell, 0.7, 1.0),
+        chosen.quality.cameras,
     )
-    post = score(evidence, chosen.combination, found.world_from_cad)
+    seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
+    post = score(seen, chosen.combination, found.world_from_cad)
     # It stays the first, whatever its scores are now: the others were not settled, and are not to be compared with it.
     return [replace(chosen, found=found, post=post, quality=quality), *others]
 

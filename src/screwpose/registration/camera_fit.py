@@ -26,6 +26,8 @@ _OF_VIEW = PARAMETERS + OF_BLUR
 _DAMPING = 1e-7  # priors hold what images do not; more would hold back focal length and depth, the weakest of all
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 _LARGEST_STEP = 1.0  # of what is in sigmas
+# Of chi-square. Screws and cameras may move together by tenths of a mm for nothing: millimetres say little here.
+_ENOUGH_GAIN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +210,7 @@ def fit_cameras_at_scale(
     iterations: int,
     enough_mm: float,
 ) -> CameraFit:
-    """Gauss-Newton at one scale, until a step would move no screw by more than `enough_mm`.
+    """Gauss-Newton at one scale, until a step would move no screw by more than `enough_mm`, or gain next to nothing.
 
     Parameters
     ----------
@@ -226,6 +228,8 @@ def fit_cameras_at_scale(
     while done < iterations and step_mm > enough_mm:
         damped = system.information + _DAMPING * np.diag(np.diag(system.information) + 1e-12)
         step: FloatArray = np.asarray(np.linalg.solve(damped, system.gradient), dtype=np.float64)
+        if float(step @ system.gradient) < _ENOUGH_GAIN:
+            break
         step_mm = float(np.linalg.norm(step[:first].reshape(-1, 6)[:, 3:], axis=1).max())
         step[of_blur] = np.clip(step[of_blur], -_LARGEST_STEP, _LARGEST_STEP)
         step /= max(1.0, float(np.abs(step / limits).max()))  # as a whole: bodies and cameras move together
