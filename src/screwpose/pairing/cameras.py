@@ -179,7 +179,7 @@ def begin_cameras(
     ----------
     poses : registered in the reported cameras at the same stages.
     """
-    if not _are_to_begin(case, bodies):
+    if not begin_with_cameras(case, bodies):
         return None
     views, pivot_mm = _calibrated(case), _pivot_mm(combination)
     bundle = adjust(
@@ -277,7 +277,8 @@ def _are_auto(case: Case) -> bool:
     return any(view.sigma == "auto" for view in case.views.values())
 
 
-def _are_to_begin(case: Case, bodies: Sequence[Body]) -> bool:
+def begin_with_cameras(case: Case, bodies: Sequence[Body]) -> bool:
+    """Whether the cameras are free from the start: sigmas are given, and there is more than one screw."""
     return are_free(case) and not _are_auto(case) and len(bodies) > 1
 
 

@@ -16,7 +16,7 @@ from screwpose.files.case import Case, View
 from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
-from screwpose.pairing.cameras import CamerasFit, begin_cameras, finish_cameras, free_if_worth, left_alone
+from screwpose.pairing.cameras import CamerasFit, begin_cameras, begin_with_cameras, finish_cameras, free_if_worth, left_alone
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
@@ -133,6 +133,8 @@ def refine_by_thickness(
     stages = _stages(thickness, noise)
     has_finer = len(stages) > 1 and not stages[-1][1].other_ways
     coarse = stages[:-1] if has_finer else stages
+    if begin_with_cameras(case, bodies):  # what explains little may be for want of a camera
+        coarse = [(scale, replace(stage, doubtful_below=0.0)) for scale, stage in coarse]
     fit = fit_by_thickness(bodies, poses, thickness.targets, coarse, progress)
     cameras = begin_cameras(case, combination, bodies, fit.world_from_cad, thickness.targets, coarse, noise, progress)
     return _judged(case, thickness, bodies, fit, noise, cameras)
