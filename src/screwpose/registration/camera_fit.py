@@ -27,7 +27,10 @@ _DAMPING = 1e-7  # priors hold what images do not; more would hold back focal le
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 _LARGEST_STEP = 1.0  # of what is in sigmas
 # Of chi-square. Screws and cameras may move together by tenths of a mm for nothing: millimetres say little here.
-_ENOUGH_GAIN = 0.01
+_ENOUGH_GAIN = 0.03
+# Robust weights let steps fall short where an edge is a pixel off, again and again in the same direction: after twenty
+# iterations a third of a mm was left. Steps that agree are doubled; where nothing moves any more is the same.
+_AGREED, _LARGEST_FACTOR = 0.5, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,11 +228,15 @@ def fit_cameras_at_scale(
     of_blur = first + np.flatnonzero(np.arange(_OF_VIEW * len(views)) % _OF_VIEW >= PARAMETERS)
     state, step_mm, done = start, np.inf, 0
     system = camera_system(targets, views, bodies, state, pivot_mm, mark_sigma_px)
+    before, factor = np.zeros(len(system.gradient)), 1.0
     while done < iterations and step_mm > enough_mm:
         damped = system.information + _DAMPING * np.diag(np.diag(system.information) + 1e-12)
         step: FloatArray = np.asarray(np.linalg.solve(damped, system.gradient), dtype=np.float64)
         if float(step @ system.gradient) < _ENOUGH_GAIN:
             break
+        factor = min(2.0 * factor, _LARGEST_FACTOR) if _agreement(step, before, damped) > _AGREED else 1.0
+        before = step
+        step = factor * step
         step_mm = float(np.linalg.norm(step[:first].reshape(-1, 6)[:, 3:], axis=1).max())
         step[of_blur] = np.clip(step[of_blur], -_LARGEST_STEP, _LARGEST_STEP)
         step /= max(1.0, float(np.abs(step / limits).max()))  # as a whole: bodies and cameras move together
@@ -237,6 +244,12 @@ def fit_cameras_at_scale(
         done += 1
         system = camera_system(targets, views, bodies, state, pivot_mm, mark_sigma_px)
     return CameraFit(state, system, done, step_mm)
+
+
+def _agreement(first: FloatArray, second: FloatArray, metric: FloatArray) -> float:
+    """The cosine between two steps, -1 to 1."""
+    sizes = float(first @ metric @ first) * float(second @ metric @ second)
+    return float(first @ metric @ second) / float(np.sqrt(max(sizes, 1e-300)))
 
 
 def _moved(

@@ -26,7 +26,7 @@ _TRIED = 2
 # At coarser pixels a screw is three wide: its direction and the camera's cannot be told apart.
 _FREE_BELOW_MM = 1.2
 # Depth and focal length are far weaker than what lies across the rays, and take more steps.
-_BETWEEN_ITERATIONS, _LAST_ITERATIONS = 3, 12
+_FREE_ITERATIONS, _BETWEEN_ITERATIONS, _LAST_ITERATIONS = 14, 3, 16
 
 
 def fit_with_cameras(
@@ -110,9 +110,16 @@ def _through(
             progress(index / len(stages), f"fitting poses and cameras at 1/{scale} of the resolution")
         if stage.tilts_deg or stage.rolls_deg:
             state = replace(state, world_from_cad=_posed(bodies, state, targets, scale, stage, views, pivot_mm))
-        free = views if stage.pixel_mm < _FREE_BELOW_MM else with_exact_cameras(views)
+        is_free = stage.pixel_mm < _FREE_BELOW_MM
         fit = fit_cameras_at_scale(
-            targets[scale], free, bodies, state, pivot_mm, stage.mark_sigma_px, stage.iterations, stage.enough_mm
+            targets[scale],
+            views if is_free else with_exact_cameras(views),
+            bodies,
+            state,
+            pivot_mm,
+            stage.mark_sigma_px,
+            max(stage.iterations, _FREE_ITERATIONS) if is_free else stage.iterations,
+            stage.enough_mm,
         )
         state = fit.state
     assert fit is not None, "at least one stage"
