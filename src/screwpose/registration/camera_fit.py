@@ -29,7 +29,7 @@ _LARGEST_STEP = 1.0  # of what is in sigmas
 # Of chi-square. Screws and cameras may move together by tenths of a mm for nothing: millimetres say little here.
 _ENOUGH_GAIN = 0.03
 # Robust weights let steps fall short where an edge is a pixel off, again and again in the same direction: after twenty
-# iterations a third of a mm was left. Steps that agree are doubled; where nothing moves any more is the same.
+# iterations a third of a mm was left. What goes the same way again is doubled; where nothing moves any more is the same.
 _AGREED, _LARGEST_FACTOR = 0.5, 4.0
 
 
@@ -234,9 +234,9 @@ def fit_cameras_at_scale(
         step: FloatArray = np.asarray(np.linalg.solve(damped, system.gradient), dtype=np.float64)
         if float(step @ system.gradient) < _ENOUGH_GAIN:
             break
-        factor = min(2.0 * factor, _LARGEST_FACTOR) if _agreement(step, before, damped) > _AGREED else 1.0
-        before = step
-        step = factor * step
+        cosine, again = _along(step, before, damped)
+        factor = min(2.0 * factor, _LARGEST_FACTOR) if cosine > _AGREED else 1.0
+        before, step = step, step + (factor - 1.0) * again
         step_mm = float(np.linalg.norm(step[:first].reshape(-1, 6)[:, 3:], axis=1).max())
         step[of_blur] = np.clip(step[of_blur], -_LARGEST_STEP, _LARGEST_STEP)
         step /= max(1.0, float(np.abs(step / limits).max()))  # as a whole: bodies and cameras move together
@@ -246,10 +246,11 @@ def fit_cameras_at_scale(
     return CameraFit(state, system, done, step_mm)
 
 
-def _agreement(first: FloatArray, second: FloatArray, metric: FloatArray) -> float:
-    """The cosine between two steps, -1 to 1."""
-    sizes = float(first @ metric @ first) * float(second @ metric @ second)
-    return float(first @ metric @ second) / float(np.sqrt(max(sizes, 1e-300)))
+def _along(step: FloatArray, before: FloatArray, metric: FloatArray) -> tuple[float, FloatArray]:
+    """How well a step agrees with the one before, the cosine, -1 to 1; and what of it goes the same way."""
+    common, own = float(step @ metric @ before), float(before @ metric @ before)
+    cosine = common / float(np.sqrt(max(own * float(step @ metric @ step), 1e-300)))
+    return cosine, common / max(own, 1e-300) * before
 
 
 def _moved(
