@@ -15,7 +15,13 @@ from screwpose.registration.camera_fit import (
     corrected_target,
     fit_cameras_at_scale,
 )
-from screwpose.registration.camera_recipe import fit_with_cameras, with_exact_cameras
+from screwpose.registration.alternatives import thread_lead_mm
+from screwpose.registration.camera_recipe import (
+    end_with_cameras,
+    fit_with_cameras,
+    turned_in_cameras,
+    with_exact_cameras,
+)
 from screwpose.registration.camera_view import view_system, view_system_in_numpy
 from screwpose.registration.landmark_prior import MarkedScrew
 from screwpose.registration.recipe import scaled_stages
@@ -30,6 +36,7 @@ SIGMA = CameraSigma(1.0, 2.0, 0.5, 3.0)
 WRONG = CameraCorrection.from_parameters(np.array([0.006, -0.008, 0.007, 1.0, -1.2, 0.8, 0.003, 2.0, -1.5]))
 REPORTED = [CAMERAS["AP"], WRONG.applied(CAMERAS["LAT"], PIVOT)]
 UNTOUCHED = CameraCorrection()
+LEAD_MM = thread_lead_mm(SCREW, SCREW.mesh)
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +96,15 @@ def test_cameras_that_are_wrong_cost_the_relation_when_held_and_not_when_free(im
     stages = scaled_stages(0.46)
     targets = {scale: targets_of(images, REPORTED, scale) for scale, _ in stages}
     told: list[float] = []
-    free = fit_with_cameras(
-        bodies, [state_at(start)], targets, stages, views, PIVOT, lambda fraction, _: told.append(fraction)
-    )
-    held = fit_with_cameras(bodies, [state_at(start)], targets, stages, with_exact_cameras(views), PIVOT)
+    fits = []
+    for own in (with_exact_cameras(views), views):
+        told.clear()
+        begun = fit_with_cameras(
+            bodies, [state_at(start)], targets, stages, own, PIVOT, lambda fraction, _: told.append(fraction)
+        )
+        state, _ = turned_in_cameras(bodies, begun.state, [LEAD_MM] * len(bodies), targets, stages, own, PIVOT)
+        fits.append(end_with_cameras(bodies, state, targets, stages, targets[1], own, PIVOT))
+    held, free = fits
     off = [np.abs(np.subtract(relation(fit.state.world_from_cad), relation(tuple(TRUTH)))) for fit in (held, free)]
     assert off[1][0] < 0.03  # a pixel is 0.46 mm here
     assert off[1][1] < 0.05
@@ -116,7 +128,7 @@ def test_each_parameter_of_a_camera_finds_its_way_back(images: list[np.ndarray],
     targets = targets_of(images, cameras, scale)
     held = with_exact_cameras(views)
     settled = fit_cameras_at_scale(targets, held, bodies, state_at(TRUTH), PIVOT, 3.0, 8, 1e-4).state
-    for k, step in enumerate([0.002, 0.002, 0.002, 0.15, 0.15, 0.15, 0.002, 0.3, 0.3]):
+    for k, step in enumerate([0.002, 0.002, 0.002, 1.5, 0.15, 0.15, 0.002, 0.3, 0.3]):
         own = np.zeros(9)
         own[k] = step
         found = []
@@ -137,7 +149,7 @@ def test_the_compiled_loops_are_the_reference(
     expected = view_system_in_numpy(target, bodies, TRUTH, blur)
     found = view_system(target, bodies, TRUTH, blur)
     assert 0.3 < expected.energy < 0.999  # P is wrong
-    np.testing.assert_allclose(found.energy, expected.energy, atol=1e-4)
+    np.testing.assert_allclose(found.energy, expected.energy, atol=1e-3)
     size = np.sqrt(np.diag(expected.information))
     motions = slice(0, 6 * len(bodies))
     each = np.outer(size, size)

@@ -2,9 +2,9 @@
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from screwpose.files.values import FileModel, Matrix3x4, Name, NotNegative, Point2, Point3, Pose
+from screwpose.files.values import FileModel, Matrix3x4, Name, NotNegative, Point2, Point3, Pose, problem_of
 
 CASE_FORMAT = "screwpose-case/1"
 TRUTH_FORMAT = "screwpose-truth/1"
@@ -27,13 +27,36 @@ _PATH = "a path relative to the case file's folder, with forward slashes, that s
 FilePath: TypeAlias = Annotated[str, Field(min_length=1)]
 
 
+class _AtMost:
+    """A standard deviation of a camera that is no calibration any more is refused."""
+
+    def __init__(self, largest: float, unit: str) -> None:
+        self.largest, self.unit = largest, unit
+
+    def __call__(self, value: float) -> float:
+        if value > self.largest:
+            raise problem_of(
+                f"a standard deviation of {value:g} {self.unit} is no calibration",
+                f"0 to {self.largest:g} {self.unit}",
+                'Is it in another unit? "sigma": "auto" stands for a C-arm of which no more is known.',
+            )
+        return value
+
+
+# Ten to fifty times what a C-arm's encoders leave open: beyond, the marks of two views say nothing of each other.
+_ROTATION: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost(20, "degrees")), Field(json_schema_extra={"maximum": 20})]
+_TRANSLATION: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost(100, "mm")), Field(json_schema_extra={"maximum": 100})]
+_FOCAL: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost(30, "percent")), Field(json_schema_extra={"maximum": 30})]
+_PRINCIPAL: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost(500, "px")), Field(json_schema_extra={"maximum": 500})]
+
+
 class CameraSigmaFile(FileModel):
     """How exactly a view was calibrated: standard deviations, 0 for what is exact."""
 
-    rotation_deg: NotNegative = Field(description="of the view about the screws, about each axis, degrees")
-    translation_mm: NotNegative = Field(description="of the view against the world, along each axis, mm")
-    focal_percent: NotNegative = Field(description="of the focal length, percent")
-    principal_point_px: NotNegative = Field(description="of the principal point, in u and in v, px")
+    rotation_deg: _ROTATION = Field(description="of the view about the screws, about each axis, degrees")
+    translation_mm: _TRANSLATION = Field(description="of the view against the world, along each axis, mm")
+    focal_percent: _FOCAL = Field(description="of the focal length, percent")
+    principal_point_px: _PRINCIPAL = Field(description="of the principal point, in u and in v, px")
 
 
 class ViewFile(FileModel):
