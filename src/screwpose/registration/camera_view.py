@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +68,10 @@ def view_system_in_numpy(
     motions = []
     for body, pose, own in zip(bodies, poses, windows, strict=True):
         alone, by_motion = _rendered(target, body, pose, own)
-        lengths[_inside(own, window)] += alone
-        motions.append(by_motion)
-        fine += _finely_rendered(target, body, pose, window)
+        rows, columns = (slice(FINE * part.start, FINE * part.stop) for part in _inside(own, window))
+        fine[rows, columns] += alone
+        lengths[_inside(own, window)] += _means(alone)
+        motions.append(_means(by_motion))
     found = explain_blurred(target, lengths, window, blur, fine)
     if found is None:
         return ViewSystem(np.zeros((size, size)), np.zeros(size), 0.0)
@@ -100,21 +102,22 @@ def _pixels_that_count_as_one(target: GradientTarget, bodies: Sequence[Body], po
 def _rendered(
     target: GradientTarget, body: Body, pose: FloatArray, window: Window
 ) -> tuple[FloatArray, NDArray[np.float32]]:
-    camera_from_cad = target.camera_from_world @ pose
-    center = rigid.transform(camera_from_cad, body.implant.center_mm)
-    frame = MotionFrame(center, target.camera_from_world[:3, :3].T)
-    found = path_lengths(target.intrinsics, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, window, frame)
-    assert found.by_motion is not None
-    return found.lengths_mm, found.by_motion
-
-
-def _finely_rendered(target: GradientTarget, body: Body, pose: FloatArray, window: Window) -> FloatArray:
-    """The path lengths of every pixel's parts; the parts' middles are about the pixel's own."""
+    """The path lengths of every pixel's parts, and how they change; the parts' middles are about the pixel's own."""
     K = target.intrinsics * [[FINE], [FINE], [1.0]]
     K[:2, 2] += 0.5 * (FINE - 1)
     rows, columns = (slice(FINE * part.start, FINE * part.stop) for part in window)
     camera_from_cad = target.camera_from_world @ pose
-    return path_lengths(K, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, (rows, columns)).lengths_mm
+    center = rigid.transform(camera_from_cad, body.implant.center_mm)
+    frame = MotionFrame(center, target.camera_from_world[:3, :3].T)
+    found = path_lengths(K, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, (rows, columns), frame)
+    assert found.by_motion is not None
+    return found.lengths_mm, found.by_motion
+
+
+def _means(parts: NDArray[Any]) -> NDArray[Any]:
+    """Of every pixel's parts."""
+    rows, columns, *rest = parts.shape
+    return np.asarray(parts.reshape(rows // FINE, FINE, columns // FINE, FINE, *rest).mean(axis=(1, 3)))
 
 
 def _window(target: GradientTarget, body: Body, pose: FloatArray) -> Window:
