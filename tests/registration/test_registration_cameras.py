@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from screwpose.geometry import Camera, rigid
 from screwpose.geometry.correction import CameraCorrection, CameraSigma
+from screwpose.registration.alternatives import thread_lead_mm
 from screwpose.registration.camera_fit import (
     CalibratedView,
     CameraState,
@@ -15,7 +16,6 @@ from screwpose.registration.camera_fit import (
     corrected_target,
     fit_cameras_at_scale,
 )
-from screwpose.registration.alternatives import thread_lead_mm
 from screwpose.registration.camera_recipe import (
     end_with_cameras,
     fit_with_cameras,
@@ -156,9 +156,10 @@ def test_the_compiled_loops_are_the_reference(
     off = (found.information - expected.information) / each
     assert np.abs(off[motions, motions]).max() < 0.01
     assert np.abs(off).max() < 0.2  # blur and intrinsics differ a little: see the loops
-    assert np.abs((found.gradient - expected.gradient) / size)[motions].max() < 0.01 * np.abs(
-        expected.gradient / size
-    ).max()
+    assert (
+        np.abs((found.gradient - expected.gradient) / size)[motions].max()
+        < 0.01 * np.abs(expected.gradient / size).max()
+    )
     other = view_system(target, bodies, TRUTH, replace(blur, edge_px=0.3))
     assert abs(other.energy - expected.energy) > 1e-3  # it can show a fault
 

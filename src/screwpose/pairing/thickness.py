@@ -16,7 +16,14 @@ from screwpose.files.case import Case, View
 from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
-from screwpose.pairing.cameras import CamerasFit, begin_cameras, begin_with_cameras, finish_cameras, free_if_worth, left_alone
+from screwpose.pairing.cameras import (
+    CamerasFit,
+    begin_cameras,
+    begin_with_cameras,
+    finish_cameras,
+    free_if_worth,
+    left_alone,
+)
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise

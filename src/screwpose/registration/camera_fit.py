@@ -29,7 +29,7 @@ _LARGEST_STEP = 1.0  # of what is in sigmas
 # Of chi-square. Screws and cameras may move together by tenths of a mm for nothing: millimetres say little here.
 _ENOUGH_GAIN = 0.03
 # Robust weights let steps fall short where an edge is a pixel off, again and again in the same direction: after twenty
-# iterations a third of a mm was left. What goes the same way again is doubled; where nothing moves any more is the same.
+# iterations a third of a mm was left. What goes the same way again is doubled; the end is the same.
 _AGREED, _LARGEST_FACTOR = 0.5, 4.0
 
 

@@ -11,8 +11,8 @@ from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.projection.thickness import MotionFrame, path_lengths
 from screwpose.registration.thickness_fit import Body, packed
-from screwpose.similarity.blurred import PARAMETERS as OF_BLUR
 from screwpose.similarity.blurred import FINE, Blur, derivatives_of_bodies, explain_blurred, without_response
+from screwpose.similarity.blurred import PARAMETERS as OF_BLUR
 from screwpose.similarity.blurred_assessment import assess_blurred
 from screwpose.similarity.thickness import GradientTarget
 
@@ -68,8 +68,7 @@ def view_system_in_numpy(
     motions = []
     for body, pose, own in zip(bodies, poses, windows, strict=True):
         alone, by_motion = _rendered(target, body, pose, own)
-        rows, columns = (slice(FINE * part.start, FINE * part.stop) for part in _inside(own, window))
-        fine[rows, columns] += alone
+        fine[_parts_of(_inside(own, window))] += alone
         lengths[_inside(own, window)] += _means(alone)
         motions.append(_means(by_motion))
     found = explain_blurred(target, lengths, window, blur, fine)
@@ -96,7 +95,7 @@ def view_system_in_numpy(
 def _pixels_that_count_as_one(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[FloatArray]) -> float:
     centers = [rigid.transform(pose, body.implant.center_mm) for body, pose in zip(bodies, poses, strict=True)]
     depth_mm = float(np.mean(rigid.transform(target.camera_from_world, np.stack(centers))[:, 2]))
-    return max(_CORRELATED_PX, _CORRELATED_MM2 * (target.intrinsics[0, 0] / depth_mm) ** 2)
+    return max(_CORRELATED_PX, _CORRELATED_MM2 * float(target.intrinsics[0, 0] / depth_mm) ** 2)
 
 
 def _rendered(
@@ -105,13 +104,17 @@ def _rendered(
     """The path lengths of every pixel's parts, and how they change; the parts' middles are about the pixel's own."""
     K = target.intrinsics * [[FINE], [FINE], [1.0]]
     K[:2, 2] += 0.5 * (FINE - 1)
-    rows, columns = (slice(FINE * part.start, FINE * part.stop) for part in window)
     camera_from_cad = target.camera_from_world @ pose
     center = rigid.transform(camera_from_cad, body.implant.center_mm)
     frame = MotionFrame(center, target.camera_from_world[:3, :3].T)
-    found = path_lengths(K, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, (rows, columns), frame)
+    found = path_lengths(K, camera_from_cad, body.mesh.vertices_mm, body.mesh.faces, _parts_of(window), frame)
     assert found.by_motion is not None
     return found.lengths_mm, found.by_motion
+
+
+def _parts_of(window: Window) -> Window:
+    rows, columns = (slice(FINE * part.start, FINE * part.stop) for part in window)
+    return rows, columns
 
 
 def _means(parts: NDArray[Any]) -> NDArray[Any]:

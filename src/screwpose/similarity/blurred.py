@@ -132,7 +132,9 @@ def explain_blurred(
         lengths = np.clip(fine_mm, 0.0, LONGEST_MM).astype(np.float32)
     fine = lengths.shape[0] // lengths_mm.shape[0]
     through = _blurred(lengths, blur, target.scale, fine)
-    rows = np.stack([smoothed_derivatives(_looked_up(one, through), own_px, near, target.mean_px).ravel() for one in table])
+    rows = np.stack(
+        [smoothed_derivatives(_looked_up(one, through), own_px, near, target.mean_px).ravel() for one in table]
+    )
     response, residuals, weights, spread = _fitted(rows, seen)
     curve = response @ table
     image = _looked_up(curve, through)

@@ -30,9 +30,10 @@ class BlurredAssessment:
     Parameters
     ----------
     energy, spread : see `blurred.BlurredView`.
-    information, gradient : (6 B + 7, 6 B + 7) and (6 B + 7,), the normal equations, each pixel's noise as `spread` tells
-        it: of the bodies' motions, a rotation vector in world about the body's centre, then a shift in world; of the
-        logarithm of the focal length, and the principal point in u and v, px of the whole X-ray; of `Blur.parameters`.
+    information, gradient : (6 B + 7, 6 B + 7) and (6 B + 7,), the normal equations, each pixel's noise as `spread`
+        tells it: of the bodies' motions, a rotation vector in world about the body's centre, then a shift in world; of
+        the logarithm of the focal length, and the principal point in u and v, px of the whole X-ray; of
+        `Blur.parameters`.
     """
 
     energy: float
@@ -83,7 +84,9 @@ def assess_blurred(
     )
     if not found.nearest_mm > 0.0:
         raise BehindSourceError(f"a vertex at a depth of {found.nearest_mm:.4g} mm is not in front of the X-ray source")
-    information, gradient = blurred.without_response(found.information, found.gradient, 6 * len(world_from_cad) + OF_IMAGE)
+    information, gradient = blurred.without_response(
+        found.information, found.gradient, 6 * len(world_from_cad) + OF_IMAGE
+    )
     return BlurredAssessment(found.energy, found.spread, information / found.spread**2, gradient / found.spread**2)
 
 

@@ -22,7 +22,18 @@ from screwpose.similarity.response_kernels import fit_response
 
 View = namedtuple(
     "View",
-    ["intrinsics", "camera_from_world", "along_u", "along_v", "counts", "smooth", "slope", "reach", "px_per_px", "fine"],
+    [
+        "intrinsics",
+        "camera_from_world",
+        "along_u",
+        "along_v",
+        "counts",
+        "smooth",
+        "slope",
+        "reach",
+        "px_per_px",
+        "fine",
+    ],
 )
 """One X-ray: see `thickness.GradientTarget`. smooth, slope (taps + 1,): of the model's smoothing and of its derivative,
 from the middle outwards. reach: how far from metal derivatives are compared. px_per_px: how much of a pixel here one of
@@ -38,8 +49,8 @@ Motion = namedtuple("Motion", ["smooth", "slope"])
 """Taps by which the change of a path length shows: the model's, and the blur's before."""
 
 Found = namedtuple("Found", ["energy", "spread", "information", "gradient", "nearest_mm"])
-"""information (6 B + 7 + n, ...) and gradient (6 B + 7 + n,), in units of 1 over the squared spread of one pixel: of the
-bodies, of the image, and of the response's n weights that are not 0."""
+"""information (6 B + 7 + n, ...) and gradient (6 B + 7 + n,), in units of 1 over the squared spread of one pixel: of
+the bodies, of the image, and of the response's n weights that are not 0."""
 
 Limits = namedtuple(
     "Limits",
@@ -302,7 +313,10 @@ def _add_columns(columns, weights, residuals, near, moved, count, information, g
             if y < 0 or y >= len(near.run_start) - 1:
                 continue
             for run in range(near.run_start[y], near.run_start[y + 1]):
-                begin, end = max(near_left[place], near.first_column[run]), min(near_right[place], near.last_column[run])
+                begin, end = (
+                    max(near_left[place], near.first_column[run]),
+                    min(near_right[place], near.last_column[run]),
+                )
                 if begin >= end:
                     continue
                 shift = near_offset[place] - near_left[place]

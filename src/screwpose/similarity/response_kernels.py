@@ -7,7 +7,6 @@ from numba import njit
 
 from screwpose.similarity.near_kernels import BLOCK, product
 
-
 _FEW = 6
 
 
