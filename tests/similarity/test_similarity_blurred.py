@@ -16,6 +16,7 @@ from screwpose.similarity.blurred import (
     smoothed_derivatives,
     without_response,
 )
+from screwpose.similarity.response_kernels import solve_nonnegative
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 from screwpose.simulation.detector_blur import blurred
 
@@ -157,3 +158,18 @@ def test_edges_move_out_by_what_is_said() -> None:
 
     np.testing.assert_allclose(crossing(plain) - crossing(outer), 0.2, atol=0.05)
     np.testing.assert_allclose(crossing(inner) - crossing(plain), 0.2, atol=0.05)
+
+
+@pytest.mark.parametrize("unknowns", [3, 9])
+def test_weights_that_are_not_negative_are_those_of_scipy(unknowns: int) -> None:
+    """Few unknowns are tried in every combination, many by an active set."""
+    from scipy.optimize import nnls
+
+    rng = np.random.default_rng(unknowns)
+    for _ in range(20):
+        columns = rng.normal(size=(60, unknowns)) + rng.normal(size=(60, 1))  # that resemble each other
+        seen = columns @ np.clip(rng.normal(size=unknowns), 0.0, None) + rng.normal(size=60)
+        expected = nnls(columns, seen)[0]
+        assert (expected == 0.0).any() or unknowns == 3
+        found = solve_nonnegative(columns.T @ columns, columns.T @ seen)
+        np.testing.assert_allclose(found, expected, atol=1e-8)
