@@ -56,7 +56,7 @@ _AGREES = 1e-3
 _WORTH, _WORTH_SHARE = 0.01, 0.04
 # The share of the poses' variance that is gone, mean over the views: half where the screws hold the difference of two
 # views as exact as each other. Below, they hold too little of it.
-_LEAST_LEARNED = 0.35
+_LEAST_LEARNED = 0.25
 # Of the smoothings that were tried for the end (0.7 and 1 px, less the mean over 0 to 31 px, of the greys and of their
 # logarithms) this one had the smallest errors.
 _SHARP_PX, _MEAN_PX = 0.7, 21
