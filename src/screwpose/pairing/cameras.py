@@ -57,8 +57,8 @@ _WORTH, _WORTH_SHARE = 0.01, 0.04
 # The share of the poses' variance that is gone, mean over the views: half where the screws hold the difference of two
 # views as exact as each other. Below, they hold too little of it.
 _LEAST_LEARNED = 0.25
-# Of the smoothings that were tried for the end (0.7 and 1 px, less the mean over 0 to 31 px, of the greys and of their
-# logarithms) this one had the smallest errors.
+# Of the smoothings tried for the end on twelve development cases (0.7 and 1 px, less the mean over 0 to 31 px, of
+# the greys and of their logarithms) this was among the best; greys do as well, with smaller worst errors.
 _SHARP_PX, _MEAN_PX = 0.7, 21
 _ITERATIONS = 8
 _ENOUGH_MM = 0.005

@@ -29,8 +29,8 @@ PARAMETERS = len(_USUAL)
 NODES = ((0.7110930099, 0.4157745568), (0.2785177336, 2.2942803603), (0.0103892565, 6.2899450829))
 LEAST_SIGMA_PX = 0.05
 LEAST_LIT = 1e-5  # goes through any metal: in single precision, 1 less it is still exact to a percent
-# A pixel is a square. Drawn as one ray each, a wall that goes with a row of pixels covers the row or does not: it stood
-# up to half a pixel wrong, and towers seen end-on or along the rows cost the worst cases 0.2 to 0.7 mm of distance.
+# A pixel is a square. Drawn as one ray each, a wall that goes with a row of pixels covers the row or does not. By two
+# rays by two errors have less of a common sign; two towers seen nearly end-on stay 0.2 mm off with 2, 3 or 4 alike.
 FINE = 2
 _STEP = 0.02
 STEEP_PX = 0.8  # over which an edge's steepness is taken
