@@ -4,10 +4,10 @@
     screwpose bench --cases gvxr-cases --method paper,default -o gvxr-out
 
 gVXR (see docs/simulation.md for how to install it) traces two screws with towers among the vertebrae of P001 in a body
-of water, with its own attenuation and over every bin of 4 keV of the spectrum; what follows, scatter, blur, noise and
-a 12-bit logarithmic display, is a few lines of this script and shares nothing with `screwpose.simulation.detector`. Only the
-arrangement, the cameras and the marks are planned as in the set `pairs`. Metal, bone and water add up where they
-overlap. `--bare` leaves the patient away. Writes one case folder a case, with its truth.
+of water, with its own attenuation and over bins of 4 keV; what follows, scatter, blur, noise and a logarithmic display
+of 12 bits, is a few lines of this script and shares nothing with `screwpose.simulation.detector`. Only the arrangement,
+the cameras and the marks are planned as in the set `pairs`. Metal, bone and water add up where they overlap. `--bare`
+leaves the patient away. Writes one case folder a case, with its truth.
 """
 
 import argparse
@@ -63,8 +63,9 @@ def pieces_of(plan: ScenePlan, folder: Path, is_bare: bool) -> list[Piece]:
     middle = 0.5 * (tips.mean(axis=0) + heads.mean(axis=0))
     bones = [trimesh.load_mesh(path) for path in sorted((folder / "anatomy" / "P001").glob("*.stl"))]
     nearest = bones[5].vertices.mean(axis=0)  # the middle one of eleven
-    for bone in bones:
-        pieces.append(Piece(Mesh(np.asarray(bone.vertices - nearest + middle), np.asarray(bone.faces)), BONE, 1.35))
+    pieces += [
+        Piece(Mesh(np.asarray(bone.vertices - nearest + middle), np.asarray(bone.faces)), BONE, 1.35) for bone in bones
+    ]
     body = trimesh.creation.icosphere(subdivisions=5)
     half_mm = np.array([165.0, 105.0, 260.0])
     center = middle + [0.0, heads[:, 1].mean() + 45.0 - middle[1] - half_mm[1], 0.0]

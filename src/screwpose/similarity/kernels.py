@@ -133,7 +133,7 @@ def assess(
                 if view.is_local:
                     weights[along] *= gain * gain
                 scattered(near, window, weights[along], placed[along])
-            add_information(drawn, view, steepness, window, placed, information)
+            add_information(drawn, (view.smooth, view.slope), view.bounds, steepness, window, placed, information)
     return Assessed(energy, spread, response, shares, information, gradient, near, mask, residuals, drawn.nearest_mm)
 
 

@@ -128,20 +128,27 @@ def add_gradient(drawn, steepness, pulled, window, gradient):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_information(drawn, view, steepness, window, weights, information):
-    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window."""
+def add_information(drawn, taps, bounds, steepness, window, weights, information):
+    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window.
+
+    Returns
+    -------
+    How the derivatives change, (6, 2, n), and where they stand: of each body its first row, and where its rows are
+    among all; of each row its first column, its last, and its offset.
+    """
     count = len(drawn.first_row)
     top, left = window
-    reach = len(view.smooth) - 1
+    smooth, slope = taps
+    reach = len(smooth) - 1
     near_rows = np.zeros(count, np.int64)
     rows_of = np.zeros(count + 1, np.int64)
     for body in range(count):
-        near_rows[body], lefts, rights = near_spans(drawn, body, reach, view.bounds)
+        near_rows[body], lefts, rights = near_spans(drawn, body, reach, bounds)
         rows_of[body + 1] = rows_of[body] + len(lefts)
     near_left, near_right = np.empty(rows_of[count], np.int64), np.empty(rows_of[count], np.int64)
     near_offset = np.zeros(rows_of[count] + 1, np.int64)
     for body in range(count):
-        _, lefts, rights = near_spans(drawn, body, reach, view.bounds)
+        _, lefts, rights = near_spans(drawn, body, reach, bounds)
         for row in range(len(lefts)):
             place = rows_of[body] + row
             near_left[place], near_right[place] = lefts[row], max(rights[row], lefts[row])
@@ -158,7 +165,7 @@ def add_information(drawn, view, steepness, window, weights, information):
             for place in range(drawn.offset[first], drawn.offset[end]):
                 values[place] = steepness[place] * drawn.by_motion[k, place]
             _derivatives_of(
-                drawn, body, values, (view.smooth, view.slope), near_rows[body], near_left[own_rows],
+                drawn, body, values, (smooth, slope), near_rows[body], near_left[own_rows],
                 near_right[own_rows], near_offset[own_rows] - begin, smoothed, sloped, moved[k, :, begin:last],
             )  # fmt: skip
     widest = 0
@@ -201,3 +208,4 @@ def add_information(drawn, view, steepness, window, weights, information):
     for i in range(6 * count):
         for j in range(i):
             information[i, j] = information[j, i]
+    return moved, near_rows, rows_of, near_left, near_right, near_offset
