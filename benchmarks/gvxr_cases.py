@@ -43,7 +43,7 @@ SCENE = SceneOptions(
     round_field=0.0,
 )
 _KEV = 4  # bins of the spectrum that are taken together
-_PHOTONS = 4000.0  # a pixel, in the open beam
+_PHOTONS = 800.0  # a pixel, behind the patient: what the automatic exposure sees to
 _BITS = 12
 
 
@@ -67,19 +67,21 @@ def pieces_of(plan: ScenePlan, folder: Path, is_bare: bool) -> list[Piece]:
         Piece(Mesh(np.asarray(bone.vertices - nearest + middle), np.asarray(bone.faces)), BONE, 1.35) for bone in bones
     ]
     body = trimesh.creation.icosphere(subdivisions=5)
-    half_mm = np.array([165.0, 105.0, 260.0])
+    half_mm = np.array([150.0, 105.0, 260.0])
     center = middle + [0.0, heads[:, 1].mean() + 45.0 - middle[1] - half_mm[1], 0.0]
     pieces.append(Piece(Mesh(np.asarray(body.vertices * half_mm + center), np.asarray(body.faces)), WATER, 1.02))
     return pieces
 
 
 def displayed(transmission: FloatArray, rng: np.random.Generator) -> Any:
-    """Scatter, blur, noise and a logarithmic display, 12 bits in 16, metal dark."""
-    scatter = 0.5 * ndimage.gaussian_filter(transmission, 50.0) * (1.0 - 0.5 * transmission)
-    arrived = ndimage.gaussian_filter(transmission + scatter, 0.7)
-    counts = rng.poisson(_PHOTONS * arrived) + rng.normal(0.0, 3.0, arrived.shape)
+    """Exposure, scatter, blur, noise and a logarithmic display, 12 bits in 16, metal dark."""
+    rows, columns = transmission.shape
+    through = float(np.median(transmission[rows // 3 : -rows // 3, columns // 3 : -columns // 3]))
+    scatter = 0.5 * ndimage.gaussian_filter(np.minimum(transmission, 20.0 * through), 50.0)
+    arrived = ndimage.gaussian_filter(transmission + scatter, 0.7) * _PHOTONS / through
+    counts = rng.poisson(arrived) + rng.normal(0.0, 2.0, arrived.shape)
     log = np.log(np.maximum(counts, 1.0))
-    black, white = np.percentile(log, 0.2) - 0.3, np.percentile(log, 99.0)
+    black, white = np.percentile(log, 0.1) - 0.2, min(np.percentile(log, 99.0), np.log(30.0 * _PHOTONS))
     grey = np.clip((log - black) / (white - black), 0.0, 1.0)
     return np.round(grey * (2**_BITS - 1)).astype(np.uint16) * np.uint16(2 ** (16 - _BITS))
 
