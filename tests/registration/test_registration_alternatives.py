@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, Mesh, ScrewDesign, make_screw
 from screwpose.implants.symmetry import surface_sample
+from screwpose.registration import alternatives
 from screwpose.registration.alternatives import Rival, compared_again, other_ways, screwed, thread_lead_mm
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
@@ -155,6 +156,20 @@ def test_equally_wrong_poses_differ_by_chance_alone() -> None:
         found.append(preference(drawn, [one], [sides[0]], [sides[1]]))
     assert abs(np.mean(found)) < 0.5
     assert 0.6 < np.std(found) < 1.5
+
+
+def test_the_recipe_finds_the_half_turn_of_a_head_that_is_nearly_the_same() -> None:
+    """Half a turn without the thread's shift: no way along the thread passes there."""
+    wrong = [turned(screw(), truth(), np.pi)]
+    stages = [(2, replace(STAGES[2], rolls_deg=())), (1, replace(STAGES[3], iterations=3))]
+    targets = {scale: views(scale) for scale, _ in stages}
+    first = fit_by_thickness([body()], wrong, targets, stages)
+    assert np.degrees(np.linalg.norm(rigid.log_rotation(first.world_from_cad[0][:3, :3] @ truth()[:3, :3].T))) > 90.0
+    with pytest.MonkeyPatch.context() as patch:  # nothing along the thread looks promising
+        patch.setattr(alternatives, "other_ways", lambda *_: [])
+        fit = settled([body()], first, targets, stages)
+    assert np.degrees(np.linalg.norm(rigid.log_rotation(fit.world_from_cad[0][:3, :3] @ truth()[:3, :3].T))) < 1.0
+    assert np.linalg.norm((fit.world_from_cad[0] - truth()) @ np.append(screw().tip_mm, 1.0)) < 0.1
 
 
 def test_what_looks_the_same_is_no_rival() -> None:

@@ -141,7 +141,10 @@ def _tried(
     best = fitted(_nearby(views, bodies, poses, index, lead_mm, fixed))
     placed = [*poses[:index], best, *poses[index + 1 :]]
     lost: list[tuple[FloatArray, float]] = []
-    for other in in_threads(fitted, other_ways(views, bodies, placed, index, lead_mm, fixed)):
+    trials = other_ways(views, bodies, placed, index, lead_mm, fixed)
+    if lead_mm:  # a head that is nearly the same after half a turn, and a thread half a pitch off
+        trials.append(turned(bodies[index].implant, best, np.pi))
+    for other in in_threads(fitted, trials):
         by = preferred(other, best)
         if by > DECIDED_SIGMAS:  # what lost to the one that was before is still to be compared with this one
             lost = [(loser, preferred(other, loser)) for loser, _ in lost] + [(best, by)]
