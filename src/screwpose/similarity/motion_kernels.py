@@ -1,5 +1,7 @@
 """Compiled loops from path lengths that change with the bodies' motions to normal equations."""
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit
 
@@ -127,11 +129,16 @@ def add_gradient(drawn, steepness, pulled, window, gradient):
                 gradient[6 * body + i] += np.float64(product(gained, drawn.by_motion[i, begin:end]))
 
 
+Motions = namedtuple("Motions", ["first_row", "rows_of", "left", "right", "offset", "derivatives"])
+"""How the model's derivatives change with each body's motions. first_row, rows_of (B, B + 1): a body's first row, and
+where its rows begin among the spans of all. left, right, offset: each span's first column, its end, and where its
+values begin. derivatives (6, 2, N): along u and v, less the gain."""
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_information(drawn, view, steepness, window, weights, information):
-    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window."""
+def motions_of(drawn, view, steepness):
+    """`Motions` at every pixel that they reach."""
     count = len(drawn.first_row)
-    top, left = window
     reach = len(view.smooth) - 1
     near_rows = np.zeros(count, np.int64)
     rows_of = np.zeros(count + 1, np.int64)
@@ -161,6 +168,16 @@ def add_information(drawn, view, steepness, window, weights, information):
                 drawn, body, values, (view.smooth, view.slope), near_rows[body], near_left[own_rows],
                 near_right[own_rows], near_offset[own_rows] - begin, smoothed, sloped, moved[k, :, begin:last],
             )  # fmt: skip
+    return Motions(near_rows, rows_of, near_left, near_right, near_offset, moved)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_information(motions, window, weights, information):
+    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window."""
+    near_rows, rows_of, moved = motions.first_row, motions.rows_of, motions.derivatives
+    near_left, near_right, near_offset = motions.left, motions.right, motions.offset
+    count = len(near_rows)
+    top, left = window
     widest = 0
     for row in range(len(near_left)):
         widest = max(widest, near_right[row] - near_left[row])
@@ -201,3 +218,26 @@ def add_information(drawn, view, steepness, window, weights, information):
     for i in range(6 * count):
         for j in range(i):
             information[i, j] = information[j, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_scores(motions, window, pulls, block_px, scores):
+    """Fill what each block of the image adds to the right side of the normal equations, (block rows, block columns,
+    6 B): pulls are (2, rows, columns) of the window."""
+    moved = motions.derivatives
+    top, left = window
+    for body in range(len(motions.first_row)):
+        for row in range(motions.rows_of[body + 1] - motions.rows_of[body]):
+            place = motions.rows_of[body] + row
+            y = motions.first_row[body] + row
+            column, end = motions.left[place], motions.right[place]
+            while column < end:
+                last = min((column // block_px + 1) * block_px, end)
+                begin = motions.offset[place] + column - motions.left[place]
+                own = slice(begin, begin + last - column)
+                block = scores[y // block_px, column // block_px]
+                for along in range(2):
+                    pull = pulls[along, y - top, column - left : last - left]
+                    for i in range(6):
+                        block[6 * body + i] += np.float64(product(pull, moved[i, along, own]))
+                column = last
