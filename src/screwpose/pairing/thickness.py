@@ -16,6 +16,7 @@ from screwpose.files.case import Case, View
 from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
+from screwpose.implants.symmetry import CONTINUOUS
 from screwpose.pairing.cameras import CamerasFit, are_free, fit_cameras
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
@@ -25,6 +26,7 @@ from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, compared_
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
 from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale
+from screwpose.registration.uncertainty import ExpectedError, expected_errors
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 
 # Models of more triangles are reduced, as far as moves their surface by no more than this share of a pixel at the
@@ -65,6 +67,7 @@ class Quality:
     marks : how many numbers that are.
     rivals : other poses of its screws that the images do not rule out.
     cameras : what became of cameras that are free; the corrections count in `mark_chi_square`.
+    errors : how far each screw's pose may be off; empty where that was not asked for, or cameras are free.
     """
 
     energies: tuple[dict[str, float], ...]
@@ -72,6 +75,7 @@ class Quality:
     marks: int
     rivals: tuple[Rival, ...] = ()
     cameras: CamerasFit | None = None
+    errors: tuple[ExpectedError, ...] = ()
 
 
 def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
@@ -180,7 +184,14 @@ def settle_by_thickness(
     final, rivals = compared_again(
         thickness.sharp, bodies, poses, at_rest.rivals, stage.mark_sigma_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM
     )
-    return _judged(case, thickness, bodies, replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals)), noise)
+    errors = expected_errors(thickness.sharp, bodies, final, stage.mark_sigma_px)
+    errors = tuple(
+        error.without_roll() if _looks_the_same(body, index, rivals) else error
+        for index, (body, error) in enumerate(zip(bodies, errors, strict=True))
+    )
+    end = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
+    found, quality = _judged(case, thickness, bodies, end, noise)
+    return found, replace(quality, errors=errors)
 
 
 def _leads_mm(thickness: Thickness, combination: Combination) -> list[float]:
@@ -220,16 +231,23 @@ def _judged(
 
 def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, ...]:
     """Those that the images hardly rule out; not those that look the same since the implant is symmetric."""
+    return tuple(
+        rival
+        for rival in rivals
+        if rival.preference < DECIDED_SIGMAS and not rival.is_the_same(_order(bodies[rival.index]))
+    )
+
+
+def _looks_the_same(body: Body, index: int, rivals: Sequence[Rival]) -> bool:
+    """Whether the images hardly rule out another turn of a body that looks the same at any."""
+    is_open = any(rival.index == index and rival.preference < DECIDED_SIGMAS for rival in rivals)
+    return is_open and _order(body) == CONTINUOUS
+
+
+def _order(body: Body) -> int:
     from screwpose.implants.symmetry import symmetry_order
 
-    left = []
-    for rival in rivals:
-        if rival.preference < DECIDED_SIGMAS:
-            implant = bodies[rival.index].implant
-            order = symmetry_order(implant.mesh, implant.tip_mm, implant.axis)
-            if not rival.is_the_same(order):
-                left.append(rival)
-    return tuple(left)
+    return symmetry_order(body.implant.mesh, body.implant.tip_mm, body.implant.axis)
 
 
 def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:
