@@ -16,7 +16,7 @@ from screwpose.files.case import Case, View
 from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
-from screwpose.implants.symmetry import CONTINUOUS
+from screwpose.implants.symmetry import CONTINUOUS, symmetry_order
 from screwpose.pairing.cameras import CamerasFit, are_free, fit_cameras
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
@@ -185,9 +185,10 @@ def settle_by_thickness(
         thickness.sharp, bodies, poses, at_rest.rivals, stage.mark_sigma_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM
     )
     errors = expected_errors(thickness.sharp, bodies, final, stage.mark_sigma_px)
-    errors = tuple(
-        error.without_roll() if _looks_the_same(body, index, rivals) else error
-        for index, (body, error) in enumerate(zip(bodies, errors, strict=True))
+    orders = {body.implant.name: _order(body.implant) for body in bodies}
+    errors = tuple(  # a model of revolution has facets, which show some roll that is none
+        error.without_roll() if orders[body.implant.name] == CONTINUOUS else error
+        for body, error in zip(bodies, errors, strict=True)
     )
     end = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
     found, quality = _judged(case, thickness, bodies, end, noise)
@@ -234,20 +235,12 @@ def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, 
     return tuple(
         rival
         for rival in rivals
-        if rival.preference < DECIDED_SIGMAS and not rival.is_the_same(_order(bodies[rival.index]))
+        if rival.preference < DECIDED_SIGMAS and not rival.is_the_same(_order(bodies[rival.index].implant))
     )
 
 
-def _looks_the_same(body: Body, index: int, rivals: Sequence[Rival]) -> bool:
-    """Whether the images hardly rule out another turn of a body that looks the same at any."""
-    is_open = any(rival.index == index and rival.preference < DECIDED_SIGMAS for rival in rivals)
-    return is_open and _order(body) == CONTINUOUS
-
-
-def _order(body: Body) -> int:
-    from screwpose.implants.symmetry import symmetry_order
-
-    return symmetry_order(body.implant.mesh, body.implant.tip_mm, body.implant.axis)
+def _order(implant: Implant) -> int:
+    return symmetry_order(implant.mesh, implant.tip_mm, implant.axis)
 
 
 def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:

@@ -27,7 +27,7 @@ _BLOCK_PX = 32
 _OF_SCATTER, _OF_INFORMATION = 9.8, 2.45
 _LEAST_MM, _LEAST_TILT_DEG, _LEAST_ROLL_DEG = 0.003, 0.004, 0.13
 # A roll less sure than this is not one that was seen.
-_MOST_ROLL_DEG = 20.0
+_MOST_ROLL_DEG = 10.0
 
 
 @dataclass(frozen=True, eq=False)
