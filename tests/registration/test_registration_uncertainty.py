@@ -127,9 +127,9 @@ def test_a_screw_that_others_confuse_is_less_sure() -> None:
     nothing = np.zeros((12, 12))
     joint, _ = joint_covariance(information, nothing, scores, NO_ROLLS)
     alone, _ = joint_covariance(information[:6, :6], nothing[:6, :6], scores[:, :6], NO_ROLLS)
-    np.testing.assert_allclose(
-        np.trace(joint[3:6, 3:6]), 12.25 * np.trace(np.linalg.inv(information)[3:6, 3:6]), rtol=0.1
-    )
+    factor = uncertainty._OF_SCATTER + uncertainty._OF_INFORMATION
+    want = factor * np.linalg.inv(information)
+    np.testing.assert_allclose(np.trace(joint[3:6, 3:6]), np.trace(want[3:6, 3:6]), rtol=0.1)
     assert np.linalg.eigvalsh(joint[:6, :6] - 0.9 * alone).min() > 0.0
     both = expected_errors(views, bodies, [POSE, BESIDE], 3.0)
     assert len(both) == 2
