@@ -46,7 +46,6 @@ from screwpose.solve import SolveOptions, solve
 
 _FIT = "screwpose.pairing.thickness"
 _MEASURE = "screwpose.similarity.thickness"
-_SHARP_ARGUMENTS = 5
 _GOOD_MM, _GOOD_DEG = 1.0, 1.0
 
 
@@ -84,6 +83,7 @@ def parts() -> list[Ablation]:
         Ablation("no sharp end", ((f"{_FIT}:_BETWEEN_ITERATIONS", 8), (f"{_FIT}:_SHARP_ITERATIONS", 0))),
         Ablation("sharp end on the log, not the greys", ((f"{_FIT}:make_gradient_target", _of_the_log),)),
         Ablation("sharp end with the mean left in", ((f"{_FIT}:_MEAN_PX", 0),)),
+        Ablation("one gain and one noise everywhere", ((f"{_FIT}:make_gradient_target", _the_same_everywhere),)),
         Ablation("no robust weights", ((f"{_MEASURE}:CAUCHY", 1e6),)),
         Ablation("one saturating exponential", ((f"{_MEASURE}:SATURATION_MM", np.array([6.0], dtype=np.float32)),)),
         Ablation("whole meshes at all scales", ((f"{_FIT}:_COARSER_FACES", {}),)),
@@ -94,8 +94,14 @@ def parts() -> list[Ablation]:
 
 
 def _of_the_log(pixels: ImageArray, *others: Any) -> GradientTarget:
-    """The sharp target, which alone has a mean taken off, of the log image."""
-    return make_gradient_target(log_image(pixels) if len(others) == _SHARP_ARGUMENTS else pixels, *others)
+    """The sharp target, which alone is local, of the log image."""
+    target = make_gradient_target(pixels, *others)
+    return make_gradient_target(log_image(pixels), *others) if target.is_local else target
+
+
+def _the_same_everywhere(*arguments: Any) -> GradientTarget:
+    """The sharp target with one gain and one noise."""
+    return replace(make_gradient_target(*arguments), is_local=False)
 
 
 def _all_grids(stage: Stage) -> Stage:

@@ -218,8 +218,12 @@ def _registered_by_thickness(
     if any(len(trial.combination.hypotheses) > _FEW_SCREWS for trial in promising):
         # Combinations of many screws share most of their pairs: these are registered once.
         done = [registered(0)]
-        assert done[0].found is not None
-        known.update(zip(done[0].combination.hypotheses, done[0].found.world_from_cad, strict=True))
+        first = done[0]
+        assert first.found is not None
+        assert first.quality is not None
+        # They begin in the cameras as reported.
+        held = first.found.world_from_cad if first.quality.cameras is None else first.quality.cameras.held
+        known.update(zip(first.combination.hypotheses, held, strict=True))
     done += in_threads(registered, range(len(done), len(promising)), together.give_up)
     done += [trial for trial in trials if trial not in promising]
     marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in done]
@@ -228,12 +232,17 @@ def _registered_by_thickness(
     chosen, *others = sorted(judged, key=_ORDERS[options.method])
     assert chosen.found is not None
     assert chosen.quality is not None
-    if chosen.quality.cameras is not None:  # settled before its cameras were freed
-        return [chosen, *others]
     found, quality = settle_by_thickness(
-        case, thickness, chosen.combination, chosen.found, options.noise, _within(tell, 0.7, 1.0)
+        case,
+        thickness,
+        chosen.combination,
+        chosen.found,
+        options.noise,
+        _within(tell, 0.7, 1.0),
+        chosen.quality.cameras,
     )
-    post = score(evidence, chosen.combination, found.world_from_cad)
+    seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
+    post = score(seen, chosen.combination, found.world_from_cad)
     # It stays the first, whatever its scores are now: the others were not settled, and are not to be compared with it.
     return [replace(chosen, found=found, post=post, quality=quality), *others]
 

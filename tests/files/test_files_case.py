@@ -246,6 +246,14 @@ def test_sigmas_of_cameras_are_read(builder):
     [
         ({**SIGMA, "rotation_deg": -1.0}, r"views\.AP\.sigma\.rotation_deg: -1\.0; expected 0 or more"),
         (
+            {**SIGMA, "rotation_deg": 1e9},
+            r"case\.json: views\.AP\.sigma\.rotation_deg: a standard deviation of 1e\+09 degrees is no calibration; "
+            r'expected 0 to 20 degrees\. Is it in another unit\? "sigma": "auto" stands for a C-arm',
+        ),
+        ({**SIGMA, "translation_mm": 500.0}, r"sigma\.translation_mm: a standard deviation of 500 mm .* 0 to 100 mm"),
+        ({**SIGMA, "focal_percent": 31.0}, r"sigma\.focal_percent: a standard deviation of 31 percent .* 0 to 30 perc"),
+        ({**SIGMA, "principal_point_px": 501.0}, r"sigma\.principal_point_px: a standard deviation of 501 px"),
+        (
             {**SIGMA, "focal": 1.0},
             r"views\.AP\.sigma\.focal: unknown key `focal`; the nearest known one is `focal_percent`",
         ),

@@ -125,6 +125,11 @@ REFUSED = {
         ["views", "AP", "sigma"],
         {"rotation_deg": -1.0, "translation_mm": 0.0, "focal_percent": 0.0, "principal_point_px": 0.0},
     ),
+    "sigma of a camera that is none": (
+        "case",
+        ["views", "AP", "sigma"],
+        {"rotation_deg": 21.0, "translation_mm": 0.0, "focal_percent": 0.0, "principal_point_px": 0.0},
+    ),
     "refined camera without its matrix": ("result", ["cameras"], {"AP": {"rotation_deg": 1.0}}),
     "empty view name": ("case", ["annotations", ""], []),
     "unit of the moon": ("case", ["models", "ms65x45", "unit"], "ell"),

@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from screwpose.geometry import Camera, rigid
 from screwpose.geometry.correction import CameraCorrection, CameraSigma
+from screwpose.registration.alternatives import thread_lead_mm
 from screwpose.registration.camera_fit import (
     CalibratedView,
     CameraState,
@@ -15,8 +16,13 @@ from screwpose.registration.camera_fit import (
     corrected_target,
     fit_cameras_at_scale,
 )
-from screwpose.registration.camera_recipe import fit_with_cameras, with_exact_cameras
-from screwpose.registration.camera_view import view_system
+from screwpose.registration.camera_recipe import (
+    end_with_cameras,
+    fit_with_cameras,
+    turned_in_cameras,
+    with_exact_cameras,
+)
+from screwpose.registration.camera_view import view_system, view_system_in_numpy
 from screwpose.registration.landmark_prior import MarkedScrew
 from screwpose.registration.recipe import scaled_stages
 from screwpose.registration.thickness_fit import Body, changed
@@ -30,6 +36,7 @@ SIGMA = CameraSigma(1.0, 2.0, 0.5, 3.0)
 WRONG = CameraCorrection.from_parameters(np.array([0.006, -0.008, 0.007, 1.0, -1.2, 0.8, 0.003, 2.0, -1.5]))
 REPORTED = [CAMERAS["AP"], WRONG.applied(CAMERAS["LAT"], PIVOT)]
 UNTOUCHED = CameraCorrection()
+LEAD_MM = thread_lead_mm(SCREW, SCREW.mesh)
 
 
 @pytest.fixture(scope="module")
@@ -37,11 +44,15 @@ def images() -> list[np.ndarray]:
     rng = np.random.default_rng(4)
     made = []
     for camera in CAMERAS.values():
+        parts = np.array([[3.0, 0.0, 1.0], [0.0, 3.0, 1.0], [0.0, 0.0, 1.0]])  # of a pixel, by each of which rays go
+        size = (3 * SIZE[0], 3 * SIZE[1])
+        finer = Camera(parts @ camera.projection, size)
         lengths = sum(
-            path_length_mm(camera, rigid.transform(pose, SCREW.mesh.vertices_mm)[SCREW.mesh.faces], SIZE)
+            path_length_mm(finer, rigid.transform(pose, SCREW.mesh.vertices_mm)[SCREW.mesh.faces], size)
             for pose in TRUTH
         )
-        lit = gaussian_filter(np.exp(-0.22 * np.asarray(lengths)), 0.8) + 0.02
+        through = np.exp(-0.22 * np.asarray(lengths)).reshape(SIZE[1], 3, SIZE[0], 3).mean(axis=(1, 3))
+        lit = gaussian_filter(through, 0.8) + 0.02
         made.append((-np.log(lit) / 4.4 + rng.normal(0, 0.004, SIZE)).astype(np.float32))
     return made
 
@@ -85,10 +96,15 @@ def test_cameras_that_are_wrong_cost_the_relation_when_held_and_not_when_free(im
     stages = scaled_stages(0.46)
     targets = {scale: targets_of(images, REPORTED, scale) for scale, _ in stages}
     told: list[float] = []
-    free = fit_with_cameras(
-        bodies, [state_at(start)], targets, stages, views, PIVOT, lambda fraction, _: told.append(fraction)
-    )
-    held = fit_with_cameras(bodies, [state_at(start)], targets, stages, with_exact_cameras(views), PIVOT)
+    fits = []
+    for own in (with_exact_cameras(views), views):
+        told.clear()
+        begun = fit_with_cameras(
+            bodies, [state_at(start)], targets, stages, own, PIVOT, lambda fraction, _: told.append(fraction)
+        )
+        state, _ = turned_in_cameras(bodies, begun.state, [LEAD_MM] * len(bodies), targets, stages, own, PIVOT)
+        fits.append(end_with_cameras(bodies, state, targets, stages, targets[1], own, PIVOT))
+    held, free = fits
     off = [np.abs(np.subtract(relation(fit.state.world_from_cad), relation(tuple(TRUTH)))) for fit in (held, free)]
     assert off[1][0] < 0.03  # a pixel is 0.46 mm here
     assert off[1][1] < 0.05
@@ -112,7 +128,7 @@ def test_each_parameter_of_a_camera_finds_its_way_back(images: list[np.ndarray],
     targets = targets_of(images, cameras, scale)
     held = with_exact_cameras(views)
     settled = fit_cameras_at_scale(targets, held, bodies, state_at(TRUTH), PIVOT, 3.0, 8, 1e-4).state
-    for k, step in enumerate([0.002, 0.002, 0.002, 0.15, 0.15, 0.15, 0.002, 0.3, 0.3]):
+    for k, step in enumerate([0.002, 0.002, 0.002, 1.5, 0.15, 0.15, 0.002, 0.3, 0.3]):
         own = np.zeros(9)
         own[k] = step
         found = []
@@ -122,6 +138,30 @@ def test_each_parameter_of_a_camera_finds_its_way_back(images: list[np.ndarray],
             place = (6 * len(bodies) + len(system.gradient)) // 2 + k  # the second of two views
             found.append(system.gradient[place] / system.information[place, place] * vague.by_parameter[k])
         assert (0.5 if scale == 1 else 0.3) < (found[1] - found[0]) / (2.0 * step) < 1.3, k  # faces seen edge-on
+
+
+@pytest.mark.parametrize(("scale", "blur_px", "mean_px"), [(1, 1.3, 0), (2, 1.3, 0), (1, 0.7, 21)])
+def test_the_compiled_loops_are_the_reference(
+    images: list[np.ndarray], scale: int, blur_px: float, mean_px: int
+) -> None:
+    target = make_gradient_target(images[1], np.ones(SIZE, bool), REPORTED[1], scale, blur_px, mean_px)
+    bodies, blur = bodies_in(REPORTED), Blur(1.0, 0.25, 0.4, -0.1)
+    expected = view_system_in_numpy(target, bodies, TRUTH, blur)
+    found = view_system(target, bodies, TRUTH, blur)
+    assert 0.3 < expected.energy < 0.999  # P is wrong
+    np.testing.assert_allclose(found.energy, expected.energy, atol=1e-3)
+    size = np.sqrt(np.diag(expected.information))
+    motions = slice(0, 6 * len(bodies))
+    each = np.outer(size, size)
+    off = (found.information - expected.information) / each
+    assert np.abs(off[motions, motions]).max() < 0.01
+    assert np.abs(off).max() < 0.2  # blur and intrinsics differ a little: see the loops
+    assert (
+        np.abs((found.gradient - expected.gradient) / size)[motions].max()
+        < 0.01 * np.abs(expected.gradient / size).max()
+    )
+    other = view_system(target, bodies, TRUTH, replace(blur, edge_px=0.3))
+    assert abs(other.energy - expected.energy) > 1e-3  # it can show a fault
 
 
 def test_a_mirrored_view_gives_the_same_answer(images: list[np.ndarray]) -> None:

@@ -106,3 +106,15 @@ def test_one_screw_cannot_carry_the_cameras(simulated: tuple[Case, TruthFile]) -
     answer = solve(reported, OPTIONS).answer
     assert answer.cameras is None
     assert any("one screw cannot carry them" in warning for warning in answer.warnings)
+
+
+def test_screws_that_show_less_than_the_calibration_leave_the_cameras_alone(simulated: tuple[Case, TruthFile]) -> None:
+    case, truth = simulated
+    better_known = CameraSigma(0.005, 0.005, 0.005, 0.02)
+    answer = solve(wrong(case, truth, 0.0, better_known), OPTIONS).answer
+    held = solve(case, OPTIONS).answer
+    assert answer.cameras is None
+    assert any("screws that show so little cannot carry them" in warning for warning in answer.warnings)
+    assert pairing_is_right(answer, truth)
+    for one, other in zip(answer.screws, held.screws, strict=True):
+        np.testing.assert_allclose(one.tip, other.tip, atol=0.03)  # where they are in the matrices as reported

@@ -1,10 +1,10 @@
 """case.json and truth.json, key by key."""
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from screwpose.files.values import FileModel, Matrix3x4, Name, NotNegative, Point2, Point3, Pose
+from screwpose.files.values import FileModel, Matrix3x4, Name, NotNegative, Point2, Point3, Pose, problem_of
 
 CASE_FORMAT = "screwpose-case/1"
 TRUTH_FORMAT = "screwpose-truth/1"
@@ -27,13 +27,44 @@ _PATH = "a path relative to the case file's folder, with forward slashes, that s
 FilePath: TypeAlias = Annotated[str, Field(min_length=1)]
 
 
+# Ten to fifty times what a C-arm's encoders leave open: beyond, the marks of two views say nothing of each other.
+_LARGEST = {"degrees": 20, "mm": 100, "percent": 30, "px": 500}
+
+
+class _AtMost:
+    """A standard deviation of a camera that is no calibration any more is refused."""
+
+    def __init__(self, unit: str) -> None:
+        self.largest, self.unit = _LARGEST[unit], unit
+
+    def __call__(self, value: float) -> float:
+        if value > self.largest:
+            raise problem_of(
+                f"a standard deviation of {value:g} {self.unit} is no calibration",
+                f"0 to {self.largest:g} {self.unit}",
+                'Is it in another unit? "sigma": "auto" stands for a C-arm of which no more is known.',
+            )
+        return value
+
+
+def _maximum(unit: str) -> Any:
+    """The same for the JSON Schema."""
+    return Field(json_schema_extra={"maximum": _LARGEST[unit]})
+
+
+_Degrees: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost("degrees")), _maximum("degrees")]
+_Millimetres: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost("mm")), _maximum("mm")]
+_Percent: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost("percent")), _maximum("percent")]
+_Pixels: TypeAlias = Annotated[NotNegative, AfterValidator(_AtMost("px")), _maximum("px")]
+
+
 class CameraSigmaFile(FileModel):
     """How exactly a view was calibrated: standard deviations, 0 for what is exact."""
 
-    rotation_deg: NotNegative = Field(description="of the view about the screws, about each axis, degrees")
-    translation_mm: NotNegative = Field(description="of the view against the world, along each axis, mm")
-    focal_percent: NotNegative = Field(description="of the focal length, percent")
-    principal_point_px: NotNegative = Field(description="of the principal point, in u and in v, px")
+    rotation_deg: _Degrees = Field(description="of the view about the screws, about each axis, degrees")
+    translation_mm: _Millimetres = Field(description="of the view against the world, along each axis, mm")
+    focal_percent: _Percent = Field(description="of the focal length, percent")
+    principal_point_px: _Pixels = Field(description="of the principal point, in u and in v, px")
 
 
 class ViewFile(FileModel):

@@ -17,7 +17,14 @@ from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
 from screwpose.implants.symmetry import CONTINUOUS, symmetry_order
-from screwpose.pairing.cameras import CamerasFit, are_free, fit_cameras
+from screwpose.pairing.cameras import (
+    CamerasFit,
+    begin_cameras,
+    begin_with_cameras,
+    finish_cameras,
+    free_if_worth,
+    left_alone,
+)
 from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
@@ -133,7 +140,7 @@ def refine_by_thickness(
 ) -> tuple[Registered, Quality]:
     """Register the screws of a combination together, from where they were placed; and the cameras, where they may.
 
-    Where cameras are held the finest stage is left to `settle_by_thickness`.
+    The finest stage is left to `settle_by_thickness`.
 
     Parameters
     ----------
@@ -142,19 +149,15 @@ def refine_by_thickness(
     """
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
-    if is_hopeless:
-        stages = [(scale, replace(stage, doubtful_below=0.0)) for scale, stage in stages]
+    has_finer = len(stages) > 1 and not stages[-1][1].other_ways
+    coarse = stages[:-1] if has_finer else stages
+    if is_hopeless or begin_with_cameras(case, bodies):  # what explains little may be for want of a camera
+        coarse = [(scale, replace(stage, doubtful_below=0.0)) for scale, stage in coarse]
     known = known or {}
     poses = tuple(known.get(one, pose) for one, pose in zip(combination.hypotheses, poses, strict=True))
     theirs = [index for index, one in enumerate(combination.hypotheses) if one in known]
-    if not are_free(case):
-        has_finer = len(stages) > 1 and not stages[-1][1].other_ways
-        coarse = stages[:-1] if has_finer else stages
-        fit = fit_by_thickness(bodies, poses, thickness.targets, coarse, progress, theirs)
-        return _judged(case, thickness, bodies, fit, noise)
-    fit = fit_by_thickness(bodies, poses, thickness.targets, stages, progress, theirs)
-    fit = settled(bodies, fit, thickness.targets, stages, _leads_mm(thickness, combination))
-    cameras = fit_cameras(case, combination, bodies, fit.world_from_cad, thickness.targets, stages, noise, progress)
+    fit = fit_by_thickness(bodies, poses, thickness.targets, coarse, progress, theirs)
+    cameras = begin_cameras(case, combination, bodies, fit.world_from_cad, thickness.targets, coarse, noise, progress)
     return _judged(case, thickness, bodies, fit, noise, cameras)
 
 
@@ -165,13 +168,26 @@ def settle_by_thickness(
     found: Registered,
     noise: LandmarkNoise,
     progress: Progress | None = None,
+    begun: CamerasFit | None = None,
 ) -> tuple[Registered, Quality]:
-    """Try other turns of a registered combination's screws, and end on the sharpest images: for the chosen one."""
+    """Try other turns of a registered combination's screws, and end on the sharpest images: for the chosen one.
+
+    Parameters
+    ----------
+    begun : what has become of cameras that are free.
+    """
     bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
+    leads_mm = _leads_mm(thickness, combination)
+    if begun is not None:
+        finished = finish_cameras(case, begun, bodies, leads_mm, thickness.targets, stages)
+        if finished is not None:
+            cameras, turned = finished
+            return _judged(case, thickness, bodies, turned, noise, cameras)
+        found = replace(found, world_from_cad=begun.held)
     coarse = [one for one in stages if one[1].other_ways]
     fit = ScaleFit(found.world_from_cad, 0, 0.0)
-    at_rest = settled(bodies, fit, thickness.targets, coarse, _leads_mm(thickness, combination), progress)
+    at_rest = settled(bodies, fit, thickness.targets, coarse, leads_mm, progress)
     if progress is not None:
         progress(0.7, "fitting the sharpest images")
     scale, stage = stages[-1]
@@ -184,15 +200,24 @@ def settle_by_thickness(
     final, rivals = compared_again(
         thickness.sharp, bodies, poses, at_rest.rivals, stage.mark_sigma_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM
     )
-    errors = expected_errors(thickness.sharp, bodies, final, stage.mark_sigma_px)
+    ended = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
+    refined = free_if_worth(case, combination, bodies, tuple(final), thickness.targets, stages)
+    refined = refined or left_alone(case, combination, tuple(final))
+    found, quality = _judged(case, thickness, bodies, ended, noise, refined)
+    if refined is not None:  # the cameras' errors, which are not known here, would be in the poses'
+        return found, quality
+    return found, replace(quality, errors=_expected_errors(thickness, bodies, final, stage.mark_sigma_px))
+
+
+def _expected_errors(
+    thickness: Thickness, bodies: Sequence[Body], poses: Sequence[FloatArray], mark_sigma_px: float
+) -> tuple[ExpectedError, ...]:
+    errors = expected_errors(thickness.sharp, bodies, poses, mark_sigma_px)
     orders = {body.implant.name: _order(body.implant) for body in bodies}
-    errors = tuple(  # a model of revolution has facets, which show some roll that is none
+    return tuple(  # a model of revolution has facets, which show some roll that is none
         error.without_roll() if orders[body.implant.name] == CONTINUOUS else error
         for body, error in zip(bodies, errors, strict=True)
     )
-    end = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
-    found, quality = _judged(case, thickness, bodies, end, noise)
-    return found, replace(quality, errors=errors)
 
 
 def _leads_mm(thickness: Thickness, combination: Combination) -> list[float]:

@@ -24,7 +24,7 @@ _DAMPING = 1e-4
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 _SMALL_STEP = 0.1  # of the full one: a quarter of a pixel at half resolution
 _AT_ONCE = 16  # candidates that a thread takes
-_BESIDE_PX, _BESIDE = 8.0, 0.15  # what a filter reaches, and 7 degrees of a body's length
+_BESIDE_PX, _BESIDE = 8.0, 0.15  # what a filter reaches, and, of a body's length, a tilt by 8 degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,11 @@ def _beside(target: GradientTarget, bodies: Sequence[Body], poses: Sequence[Floa
         return []
     boxes = [_box_px(target, body, pose) for body, pose in zip(bodies, poses, strict=True)]
     low, high = boxes[index]
-    margin_px = _BESIDE_PX + _BESIDE * float(np.max(high - low))
+    # A body that is seen end-on is small there, and tilts out of its box all the same.
+    vertices_mm = bodies[index].mesh.vertices_mm
+    depth_mm = rigid.transform(target.camera_from_world @ poses[index], vertices_mm.mean(axis=0))[2]
+    length_px = float(np.linalg.norm(np.ptp(vertices_mm, axis=0)) * target.intrinsics[0, 0] / max(depth_mm, 1.0))
+    margin_px = _BESIDE_PX + _BESIDE * length_px
     return [
         number
         for number, (first, last) in enumerate(boxes)

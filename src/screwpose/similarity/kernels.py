@@ -18,7 +18,6 @@ from screwpose.similarity.motion_kernels import (
     add_gradient,
     add_information,
     add_scores,
-    motions_of,
     pulled_by,
     steepness_of,
 )
@@ -143,16 +142,19 @@ def assess(
                 scattered(near, window, pulls, placed[along])
             add_gradient(drawn, steepness, pulled_by(placed, view), window, gradient)
         if with_information:
-            motions = motions_of(drawn, view, steepness)
-            if block_px and with_gradient:
-                down, across = view.counts.shape
-                scores = np.zeros(((down - 1) // block_px + 1, (across - 1) // block_px + 1, unknowns))
-                add_scores(motions, window, placed, block_px, scores)
+            with_scores = block_px > 0 and with_gradient
+            pulled = placed.copy() if with_scores else placed
             for along in range(2):
                 if view.is_local:
                     weights[along] *= gain * gain
                 scattered(near, window, weights[along], placed[along])
-            add_information(motions, window, placed, information)
+            motions = add_information(
+                drawn, (view.smooth, view.slope), view.bounds, steepness, window, placed, information
+            )
+            if with_scores:
+                down, across = view.counts.shape
+                scores = np.zeros(((down - 1) // block_px + 1, (across - 1) // block_px + 1, unknowns))
+                add_scores(motions, window, pulled, block_px, scores)
     return Assessed(
         energy, spread, response, shares, information, gradient, scores, near, mask, residuals, drawn.nearest_mm
     )

@@ -1,7 +1,5 @@
 """Compiled loops from path lengths that change with the bodies' motions to normal equations."""
 
-from collections import namedtuple
-
 import numpy as np
 from numba import njit
 
@@ -129,26 +127,28 @@ def add_gradient(drawn, steepness, pulled, window, gradient):
                 gradient[6 * body + i] += np.float64(product(gained, drawn.by_motion[i, begin:end]))
 
 
-Motions = namedtuple("Motions", ["first_row", "rows_of", "left", "right", "offset", "derivatives"])
-"""How the model's derivatives change with each body's motions. first_row, rows_of (B, B + 1): a body's first row, and
-where its rows begin among the spans of all. left, right, offset: each span's first column, its end, and where its
-values begin. derivatives (6, 2, N): along u and v, less the gain."""
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def motions_of(drawn, view, steepness):
-    """`Motions` at every pixel that they reach."""
+def add_information(drawn, taps, bounds, steepness, window, weights, information):
+    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window.
+
+    Returns
+    -------
+    How the derivatives change, (6, 2, n), and where they stand: of each body its first row, and where its rows are
+    among all; of each row its first column, its last, and its offset.
+    """
     count = len(drawn.first_row)
-    reach = len(view.smooth) - 1
+    top, left = window
+    smooth, slope = taps
+    reach = len(smooth) - 1
     near_rows = np.zeros(count, np.int64)
     rows_of = np.zeros(count + 1, np.int64)
     for body in range(count):
-        near_rows[body], lefts, rights = near_spans(drawn, body, reach, view.bounds)
+        near_rows[body], lefts, rights = near_spans(drawn, body, reach, bounds)
         rows_of[body + 1] = rows_of[body] + len(lefts)
     near_left, near_right = np.empty(rows_of[count], np.int64), np.empty(rows_of[count], np.int64)
     near_offset = np.zeros(rows_of[count] + 1, np.int64)
     for body in range(count):
-        _, lefts, rights = near_spans(drawn, body, reach, view.bounds)
+        _, lefts, rights = near_spans(drawn, body, reach, bounds)
         for row in range(len(lefts)):
             place = rows_of[body] + row
             near_left[place], near_right[place] = lefts[row], max(rights[row], lefts[row])
@@ -165,19 +165,9 @@ def motions_of(drawn, view, steepness):
             for place in range(drawn.offset[first], drawn.offset[end]):
                 values[place] = steepness[place] * drawn.by_motion[k, place]
             _derivatives_of(
-                drawn, body, values, (view.smooth, view.slope), near_rows[body], near_left[own_rows],
+                drawn, body, values, (smooth, slope), near_rows[body], near_left[own_rows],
                 near_right[own_rows], near_offset[own_rows] - begin, smoothed, sloped, moved[k, :, begin:last],
             )  # fmt: skip
-    return Motions(near_rows, rows_of, near_left, near_right, near_offset, moved)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_information(motions, window, weights, information):
-    """Fill the matrix of the normal equations, (6 B, 6 B): weights are (2, rows, columns) of the window."""
-    near_rows, rows_of, moved = motions.first_row, motions.rows_of, motions.derivatives
-    near_left, near_right, near_offset = motions.left, motions.right, motions.offset
-    count = len(near_rows)
-    top, left = window
     widest = 0
     for row in range(len(near_left)):
         widest = max(widest, near_right[row] - near_left[row])
@@ -218,22 +208,23 @@ def add_information(motions, window, weights, information):
     for i in range(6 * count):
         for j in range(i):
             information[i, j] = information[j, i]
+    return moved, near_rows, rows_of, near_left, near_right, near_offset
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_scores(motions, window, pulls, block_px, scores):
     """Fill what each block of the image adds to the right side of the normal equations, (block rows, block columns,
-    6 B): pulls are (2, rows, columns) of the window."""
-    moved = motions.derivatives
+    6 B): motions as `add_information` returns them; pulls are (2, rows, columns) of the window."""
+    moved, first_row, rows_of, lefts, rights, offset = motions
     top, left = window
-    for body in range(len(motions.first_row)):
-        for row in range(motions.rows_of[body + 1] - motions.rows_of[body]):
-            place = motions.rows_of[body] + row
-            y = motions.first_row[body] + row
-            column, end = motions.left[place], motions.right[place]
+    for body in range(len(first_row)):
+        for row in range(rows_of[body + 1] - rows_of[body]):
+            place = rows_of[body] + row
+            y = first_row[body] + row
+            column, end = lefts[place], rights[place]
             while column < end:
                 last = min((column // block_px + 1) * block_px, end)
-                begin = motions.offset[place] + column - motions.left[place]
+                begin = offset[place] + column - lefts[place]
                 own = slice(begin, begin + last - column)
                 block = scores[y // block_px, column // block_px]
                 for along in range(2):

@@ -7,12 +7,87 @@ from numba import njit
 
 from screwpose.similarity.near_kernels import BLOCK, product
 
+_FEW = 6
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve_free(matrix, right, is_free):
+    """Solve for the free unknowns by Cholesky, the others 0; what a pivot leaves nothing of stays 0 too."""
+    n = len(right)
+    factor, x = np.zeros((n, n)), np.zeros(n)
+    for i in range(n):
+        if not is_free[i]:
+            continue
+        for j in range(i + 1):
+            if not is_free[j]:
+                continue
+            total = matrix[i, j]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                factor[i, i] = math.sqrt(total) if total > 1e-12 * matrix[i, i] else 0.0
+            else:
+                factor[i, j] = total / factor[j, j] if factor[j, j] > 0.0 else 0.0
+    for i in range(n):
+        if factor[i, i] > 0.0:
+            total = right[i]
+            for k in range(i):
+                total -= factor[i, k] * x[k]
+            x[i] = total / factor[i, i]
+    for i in range(n - 1, -1, -1):
+        if factor[i, i] > 0.0:
+            total = x[i]
+            for k in range(i + 1, n):
+                total -= factor[k, i] * x[k]
+            x[i] = total / factor[i, i]
+    return x
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _by_active_set(matrix, right):
+    """The same for more unknowns: Lawson & Hanson (1974), chapter 23."""
+    n = len(right)
+    x, is_free = np.zeros(n), np.zeros(n, np.bool_)
+    for _ in range(3 * n):
+        best, steepest = -1, 0.0
+        for i in range(n):
+            if not is_free[i]:
+                slope = right[i]
+                for j in range(n):
+                    slope -= matrix[i, j] * x[j]
+                slope /= math.sqrt(max(matrix[i, i], 1e-300))
+                if slope > steepest:
+                    best, steepest = i, slope
+        if best < 0 or steepest < 1e-9 * math.sqrt(max(np.max(np.abs(right)), 1e-300)):
+            break
+        is_free[best] = True
+        while True:
+            trial = _solve_free(matrix, right, is_free)
+            share, last = 1.0, -1
+            for i in range(n):
+                if is_free[i] and trial[i] <= 0.0:
+                    reach = x[i] / (x[i] - trial[i]) if x[i] > trial[i] else 0.0
+                    if reach < share:
+                        share, last = reach, i
+            if last < 0:
+                x[:] = trial
+                break
+            for i in range(n):
+                x[i] += share * (trial[i] - x[i])
+                if is_free[i] and (i == last or x[i] <= 0.0):
+                    x[i], is_free[i] = 0.0, False
+        if not is_free[best]:
+            break  # rounding alone had wanted it
+    return x
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_nonnegative(matrix, right):
     """The x >= 0 (n,) that makes ``x^T M x / 2 - b^T x`` least, M positive definite: every set of free unknowns is
-    tried, 31 for five unknowns."""
+    tried, 31 for five unknowns; with many, see `_by_active_set`."""
     n = len(right)
+    if n > _FEW:
+        return _by_active_set(matrix, right)
     best, best_value = np.zeros(n), 0.0
     places = np.empty(n, np.int64)
     for chosen in range(1, 1 << n):
