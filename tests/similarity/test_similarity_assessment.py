@@ -171,6 +171,31 @@ def test_normal_equations_are_those_of_the_reference(target: GradientTarget) -> 
     np.testing.assert_allclose(found.gradient / scale, gradient / scale, atol=0.02 * np.abs(gradient / scale).max())
 
 
+@pytest.mark.parametrize("block_px", [16, 37])
+def test_scores_of_blocks_are_those_of_the_reference_and_sum_to_the_gradient(block_px: int) -> None:
+    target, poses = made_target(1, 5, True), moved(0.5)
+    lengths, motions = drawn(target, poses)
+    total = np.sum(lengths, axis=0)
+    want = explain(target, total, WHOLE)
+    jacobian = np.concatenate(
+        [derivatives(target, response_slope(want.response, total), motion) for motion in motions], axis=3
+    )
+    pulls = want.image_of(want.gain * want.weights * want.residuals) / want.spread**2
+    by_pixel = np.einsum("drci,drc->rci", jacobian, pulls)
+    rows, columns = (-(-size // block_px) for size in SIZE)
+    scores = np.zeros((rows, columns, 18))
+    for row, column in np.ndindex(rows, columns):
+        block = by_pixel[row * block_px : (row + 1) * block_px, column * block_px : (column + 1) * block_px]
+        scores[row, column] = block.sum(axis=(0, 1))
+    found = assess(target, BODIES, poses, with_normal_equations=True, block_px=block_px)
+    size = np.abs(scores).max(axis=(0, 1))
+    np.testing.assert_allclose(found.scores / size, scores / size, atol=0.03)
+    np.testing.assert_allclose(found.scores.sum(axis=(0, 1)) / size, found.gradient / size, atol=1e-4)
+    plain = assess(target, BODIES, poses, with_normal_equations=True)
+    assert not plain.scores.size
+    np.testing.assert_array_equal(plain.information, found.information)
+
+
 def test_the_gradient_alone_is_the_same(target: GradientTarget) -> None:
     poses = moved(1.0, 2)
     both = assess(target, BODIES, poses, with_normal_equations=True)

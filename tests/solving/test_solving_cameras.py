@@ -74,6 +74,7 @@ def test_wrong_cameras_are_refused_when_held_and_refined_when_free(
     answer = solve(reported, OPTIONS).answer
     assert pairing_is_right(answer, truth)
     assert {screw.status for screw in answer.screws} == {"ok"}
+    assert [screw.sigma for screw in answer.screws] == [None, None]  # the cameras' errors would be in them
     (relation,) = relation_records(answer, truth, case.implants)
     assert abs(relation.distance_mm) < 0.3  # a pixel is 0.45 mm here, and the reported matrices are some mm off
     assert abs(relation.angle_deg) < 0.3

@@ -8,11 +8,13 @@ import pytest
 
 from screwpose.benchmark import pairing_is_right, screw_errors
 from screwpose.errors import CancelledError
+from screwpose.files import read_result, write_result
 from screwpose.files.case import Case, read_case
 from screwpose.files.findings import Finding
 from screwpose.files.schema import TruthFile
 from screwpose.files.truth import read_truth
 from screwpose.implants import Mesh
+from screwpose.implants.symmetry import CONTINUOUS
 from screwpose.pairing import LandmarkNoise
 from screwpose.registration import SearchOptions
 from screwpose.simulation.scenes import two_screw_scene
@@ -54,6 +56,11 @@ def test_it_pairs_right_and_places_the_screws(simulated: tuple[Case, TruthFile])
         implant, pose = case.implants[screw.model], np.array(screw.world_from_cad)
         np.testing.assert_allclose(pose @ [*implant.tip_mm, 1], [*screw.tip, 1], atol=1e-9)
         np.testing.assert_allclose(np.subtract(screw.center, screw.tip) / implant.length_mm, screw.axis, atol=1e-9)
+        assert screw.sigma is not None
+        assert screw.sigma.tip_mm == pytest.approx(np.sqrt(np.trace(screw.sigma.tip_covariance_mm2)))
+        assert 0.25 * error.tip_mm < screw.sigma.tip_mm < 1.0
+        assert screw.sigma.roll_deg is not None
+        assert 0.0 < screw.sigma.axis_deg < screw.sigma.roll_deg  # a turn about the axis shows least
     assert not any("roll" in warning for warning in answer.warnings)
     fractions = [fraction for fraction, _ in told]
     assert fractions == sorted(fractions)
@@ -68,6 +75,7 @@ def test_the_paper_method_takes_the_higher_dice(simulated: tuple[Case, TruthFile
     assert len(dice) == 2
     assert dice == sorted(dice, reverse=True)
     assert answer.pairing.pairs == answer.combinations[0].pairs
+    assert [screw.sigma for screw in answer.screws] == [None, None]  # a biased loss tells nothing of its errors
     assert answer.pairing.chosen_by is not None
     assert answer.pairing.chosen_by.post == 1
 
@@ -83,10 +91,26 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
         assert [scene.post for scene in result.scenes] == [(), ()]
         for screw, posed in zip(result.answer.screws, result.scenes[0].pre, strict=True):
             np.testing.assert_array_equal(screw.world_from_cad, posed.world_from_cad)
+            assert screw.sigma is None
     # Overlapping screws of one level: their marks nearly share epipolar lines, and the method says what it knows.
     one = found["epipolar"].answer
     assert pairing_is_right(one, truth) or one.pairing.status == "ambiguous"
     assert found["default"].answer.combinations[0].probability >= one.combinations[0].probability
+
+
+def test_a_roll_that_cannot_be_seen_is_absent_and_said(
+    simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("screwpose.pairing.thickness.symmetry_order", lambda *_: CONTINUOUS)
+    answer = solve(simulated[0], replace(QUICK, combinations=1)).answer
+    for screw in answer.screws:
+        assert screw.sigma is not None
+        assert screw.sigma.tip_mm is not None
+        assert (screw.sigma.roll_deg, screw.sigma.pose_covariance) == (None, None)
+    told = [warning for warning in answer.warnings if "how far it is turned about its axis cannot be seen" in warning]
+    assert len(told) == 2
+    assert {screw.status for screw in answer.screws} == {"ok"}  # it is not a fault
+    assert read_result(write_result(tmp_path / "result.json", answer)) == answer
 
 
 def test_the_same_seed_gives_the_same_answer(simulated: tuple[Case, TruthFile]) -> None:

@@ -14,6 +14,7 @@ from screwpose.implants.health import MeshReport
 from screwpose.implants.landmarks import LandmarkProposal
 from screwpose.report.comparison import Comparison
 from screwpose.report.tables import chosen_combination, pairs_text
+from screwpose.report.words import expected_error_text
 
 _MEANING = {
     "confident": "the landmarks leave no other pairing",
@@ -34,6 +35,9 @@ def told_result(out: Path, answer: ResultFile) -> str:
         tip, axis = _triple(screw.tip, ".2f"), _triple(screw.axis, ".4f")
         lines.append(paragraph(f"  {_names([screw.labels])}: {_short(screw.model)}, {screw.status}", "    "))
         lines.append(f"    tip [{tip}] mm, axis [{axis}]")
+        expected = expected_error_text(screw.sigma)
+        if expected is not None:
+            lines.append(paragraph(f"    expected errors: {expected.replace('°', ' deg')}", "    "))
     lines += _told_combinations(answer)
     lines += [paragraph(f"Warning: {warning}") for warning in answer.warnings]
     lines += [f"{answer.timing_s['total']:.1f} s. Open {out / 'report.html'}", DISCLAIMER]

@@ -46,7 +46,7 @@ from screwpose.files.schema_summary import (
     StageQuantiles,
     SummaryFile,
 )
-from screwpose.files.values import as_matrix3x3, as_matrix3x4, as_point3, as_pose
+from screwpose.files.values import as_covariance6, as_matrix3x3, as_matrix3x4, as_point3, as_pose
 
 __all__ = [
     "CASE_FORMAT",
@@ -85,6 +85,7 @@ __all__ = [
     "Unit",
     "ViewFile",
     "ViewScores",
+    "as_covariance6",
     "as_matrix3x3",
     "as_matrix3x4",
     "as_point3",

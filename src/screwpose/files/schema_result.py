@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from screwpose.files.values import (
     Covariance,
+    Covariance6,
     FileModel,
     Fraction,
     Loss,
@@ -116,6 +117,10 @@ class SigmaFile(FileModel):
     roll_deg: NotNegative | None = Field(None, description="one standard deviation of the roll, degrees")
     tip_covariance_mm2: Covariance | None = Field(
         None, description="the covariance of the tip in the world frame, 3 x 3, mm^2"
+    )
+    pose_covariance: Covariance6 | None = Field(
+        None,
+        description="of a turn about the screw's centre, degrees, and a shift, mm, along the world's axes, 6 x 6",
     )
 
 

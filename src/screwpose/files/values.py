@@ -120,7 +120,7 @@ def _unit(vector: "Point3") -> "Point3":
     return vector
 
 
-def _covariance(rows: "Matrix3x3") -> "Matrix3x3":
+def _covariance(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     matrix = np.array(rows)
     size = max(float(np.abs(matrix).max()), 1e-300)
     if np.abs(matrix - matrix.T).max() > 1e-6 * size or np.linalg.eigvalsh(matrix).min() < -1e-6 * size:
@@ -156,11 +156,17 @@ Name: TypeAlias = Annotated[str, Field(min_length=1)]
 
 _Row3: TypeAlias = tuple[Number, Number, Number]
 _Row4: TypeAlias = tuple[Number, Number, Number, Number]
+_Row6: TypeAlias = tuple[Number, Number, Number, Number, Number, Number]
 Point2: TypeAlias = Annotated[tuple[Number, Number], BeforeValidator(_OfShape((2,), "2 numbers, [u, v]"))]
 Point3: TypeAlias = Annotated[_Row3, BeforeValidator(_OfShape((3,), "3 numbers, [x, y, z]"))]
 UnitVector: TypeAlias = Annotated[Point3, AfterValidator(_unit)]
 Matrix3x3: TypeAlias = Annotated[tuple[_Row3, _Row3, _Row3], BeforeValidator(_OfShape((3, 3), "3 rows of 3 numbers"))]
 Covariance: TypeAlias = Annotated[Matrix3x3, AfterValidator(_covariance)]
+Covariance6: TypeAlias = Annotated[
+    tuple[_Row6, _Row6, _Row6, _Row6, _Row6, _Row6],
+    BeforeValidator(_OfShape((6, 6), "6 rows of 6 numbers")),
+    AfterValidator(_covariance),
+]
 Matrix3x4: TypeAlias = Annotated[tuple[_Row4, _Row4, _Row4], BeforeValidator(_OfShape((3, 4), "3 rows of 4 numbers"))]
 Matrix4x4: TypeAlias = Annotated[
     tuple[_Row4, _Row4, _Row4, _Row4], BeforeValidator(_OfShape((4, 4), "4 rows of 4 numbers"))
@@ -183,6 +189,17 @@ def as_matrix3x3(matrix: FloatArray) -> Matrix3x3:
 def _as_row4(vector: FloatArray) -> _Row4:
     a, b, c, d = np.asarray(vector, dtype=np.float64).tolist()
     return a, b, c, d
+
+
+def as_covariance6(matrix: FloatArray) -> Covariance6:
+    """A (6, 6) array as the files keep it."""
+    a, b, c, d, e, f = (_as_row6(row) for row in np.asarray(matrix, dtype=np.float64))
+    return a, b, c, d, e, f
+
+
+def _as_row6(vector: FloatArray) -> _Row6:
+    a, b, c, d, e, f = vector.tolist()
+    return a, b, c, d, e, f
 
 
 def as_matrix3x4(matrix: FloatArray) -> Matrix3x4:

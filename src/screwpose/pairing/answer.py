@@ -17,9 +17,12 @@ from screwpose.files.schema import (
     Scores,
     ScrewResultFile,
     ScrewScores,
+    SigmaFile,
     Software,
     StageScores,
     ViewScores,
+    as_covariance6,
+    as_matrix3x3,
     as_matrix3x4,
     as_point3,
     as_pose,
@@ -34,6 +37,7 @@ from screwpose.pairing.segment import LandmarkNoise
 from screwpose.pairing.thickness import Quality
 from screwpose.registration import Registered
 from screwpose.registration.alternatives import SAME_SHIFT_MM, SAME_TURN_DEG, Rival
+from screwpose.registration.uncertainty import ExpectedError
 from screwpose.similarity import SceneScore
 
 # Below the first a screw hardly covers metal in some view and someone should look; below the second it covers none.
@@ -48,6 +52,10 @@ _PLACED_ONLY = (
 _SILHOUETTE_BIAS = (
     "the poses come from the paper's silhouette loss, which is biased: expect errors of a millimetre or two, "
     "and do not rely on the roll about a screw's axis (docs/benchmarks.md)"
+)
+_UNSEEN_ROLL = (
+    "how far it is turned about its axis cannot be seen, since it looks much the same at other turns; its tip and axis "
+    "hardly depend on it"
 )
 # On development cases rigid screws that came home explain 0.61 to 0.95 of the gradient energy near them in every view,
 # screws whose towers lean 3 degrees and more at most 0.47 in one of them.
@@ -104,7 +112,7 @@ def answered(
     refined = None if trials[0].quality is None else trials[0].quality.cameras
     if refined is not None:  # the poses are in these cameras
         case, evidence = in_cameras(case, refined.cameras), replace(evidence, cameras=refined.cameras)
-    screws, doubts = _screws(case, evidence, trials[0], noise)
+    screws, doubts, unseen = _screws(case, evidence, trials[0], noise)
     status = "ambiguous" if confidence.status == "confident" and doubts else confidence.status
     unpaired = trials[0].combination.unpaired
     alone = [f"{view} {label} has no partner" for view, labels in unpaired.items() for label in labels]
@@ -139,7 +147,15 @@ def answered(
         ),
         screws=screws,
         cameras=None if refined is None or not refined.corrections else _cameras(refined),
-        warnings=(*case.warnings, *warnings, *confidence.reasons, *doubts, *alone, *_about_the_poses(trials[0])),
+        warnings=(
+            *case.warnings,
+            *warnings,
+            *confidence.reasons,
+            *doubts,
+            *unseen,
+            *alone,
+            *_about_the_poses(trials[0]),
+        ),
         timing_s=timing_s,
     )
     scenes = tuple(
@@ -177,20 +193,26 @@ def _cameras(refined: CamerasFit) -> dict[str, CameraResultFile]:
 
 def _screws(
     case: Case, evidence: Evidence, trial: Trial, noise: LandmarkNoise
-) -> tuple[tuple[ScrewResultFile, ...], list[str]]:
-    """Each screw's pose and status, and in words why one is in doubt."""
+) -> tuple[tuple[ScrewResultFile, ...], list[str], list[str]]:
+    """Each screw's pose and status, and in words why one is in doubt, and what of one cannot be seen."""
     combination = trial.combination
     poses = trial.placed if trial.found is None else trial.found.world_from_cad
     pre = score_each(evidence, combination, trial.placed)
     post = score_each(evidence, combination, poses)
-    screws, doubts = [], []
+    screws, doubts, unseen = [], [], []
     for index, (hypothesis, pose) in enumerate(zip(combination.hypotheses, poses, strict=True)):
         implant = evidence.implants[hypothesis.model]
+        sigma = None
         if trial.quality is None:
             words, has_failed = _doubts_by_silhouette(post[index])
         else:
             words, has_failed = _doubts_by_energy(trial.quality.energies[index])
-            words += [_doubt_by_rival(rival) for rival in trial.quality.rivals if rival.index == index]
+            rivals = [rival for rival in trial.quality.rivals if rival.index == index]
+            if trial.quality.errors and not words:  # a model that explains little says little of its errors
+                error = trial.quality.errors[index]
+                sigma = _sigma(error, rivals)
+                unseen += [f"screw {hypothesis.name}: {_UNSEEN_ROLL}"] if error.roll_deg is None else []
+            words += [_doubt_by_rival(rival) for rival in rivals]
         if trial.found is not None and trial.found.at_bound[index]:
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
@@ -209,10 +231,28 @@ def _screws(
                 tip=as_point3(rigid.transform(pose, implant.tip_mm)),
                 center=as_point3(rigid.transform(pose, implant.center_mm)),
                 axis=as_point3(pose[:3, :3] @ implant.axis),
+                sigma=sigma,
                 scores=ScrewScores(pre=_scores(pre[index]), post=None if trial.found is None else _scores(post[index])),
             )
         )
-    return tuple(screws), doubts
+    return tuple(screws), doubts, unseen
+
+
+def _sigma(error: ExpectedError, rivals: Sequence[Rival]) -> SigmaFile:
+    """How far a pose may be off, less what it is not known to: another pose may explain the X-rays as well."""
+    if rivals:
+        error = error.without_roll()
+    tip_is_known = all(abs(rival.shift_mm) <= SAME_SHIFT_MM for rival in rivals)
+    to_degrees = np.repeat([np.degrees(1.0), 1.0], 3)
+    return SigmaFile(
+        tip_mm=error.tip_mm if tip_is_known else None,
+        axis_deg=error.axis_deg,
+        roll_deg=error.roll_deg,
+        tip_covariance_mm2=as_matrix3x3(error.tip_covariance_mm2) if tip_is_known else None,
+        pose_covariance=None
+        if error.covariance is None
+        else as_covariance6(error.covariance * np.outer(to_degrees, to_degrees)),
+    )
 
 
 def _doubts_by_silhouette(scores: SceneScore) -> tuple[list[str], bool]:

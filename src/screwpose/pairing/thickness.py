@@ -16,6 +16,7 @@ from screwpose.files.case import Case, View
 from screwpose.images import log_image
 from screwpose.implants.model import Implant, Mesh
 from screwpose.implants.reduction import closed, reduced_to, reduced_within
+from screwpose.implants.symmetry import CONTINUOUS, symmetry_order
 from screwpose.pairing.cameras import (
     CamerasFit,
     begin_cameras,
@@ -32,6 +33,7 @@ from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, compared_
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
 from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale
+from screwpose.registration.uncertainty import ExpectedError, expected_errors
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
 
 # Models of more triangles are reduced, as far as moves their surface by no more than this share of a pixel at the
@@ -72,6 +74,7 @@ class Quality:
     marks : how many numbers that are.
     rivals : other poses of its screws that the images do not rule out.
     cameras : what became of cameras that are free; the corrections count in `mark_chi_square`.
+    errors : how far each screw's pose may be off; empty where that was not asked for, or cameras are free.
     """
 
     energies: tuple[dict[str, float], ...]
@@ -79,6 +82,7 @@ class Quality:
     marks: int
     rivals: tuple[Rival, ...] = ()
     cameras: CamerasFit | None = None
+    errors: tuple[ExpectedError, ...] = ()
 
 
 def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
@@ -199,7 +203,21 @@ def settle_by_thickness(
     ended = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
     refined = free_if_worth(case, combination, bodies, tuple(final), thickness.targets, stages)
     refined = refined or left_alone(case, combination, tuple(final))
-    return _judged(case, thickness, bodies, ended, noise, refined)
+    found, quality = _judged(case, thickness, bodies, ended, noise, refined)
+    if refined is not None:  # the cameras' errors, which are not known here, would be in the poses'
+        return found, quality
+    return found, replace(quality, errors=_expected_errors(thickness, bodies, final, stage.mark_sigma_px))
+
+
+def _expected_errors(
+    thickness: Thickness, bodies: Sequence[Body], poses: Sequence[FloatArray], mark_sigma_px: float
+) -> tuple[ExpectedError, ...]:
+    errors = expected_errors(thickness.sharp, bodies, poses, mark_sigma_px)
+    orders = {body.implant.name: _order(body.implant) for body in bodies}
+    return tuple(  # a model of revolution has facets, which show some roll that is none
+        error.without_roll() if orders[body.implant.name] == CONTINUOUS else error
+        for body, error in zip(bodies, errors, strict=True)
+    )
 
 
 def _leads_mm(thickness: Thickness, combination: Combination) -> list[float]:
@@ -239,16 +257,15 @@ def _judged(
 
 def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, ...]:
     """Those that the images hardly rule out; not those that look the same since the implant is symmetric."""
-    from screwpose.implants.symmetry import symmetry_order
+    return tuple(
+        rival
+        for rival in rivals
+        if rival.preference < DECIDED_SIGMAS and not rival.is_the_same(_order(bodies[rival.index].implant))
+    )
 
-    left = []
-    for rival in rivals:
-        if rival.preference < DECIDED_SIGMAS:
-            implant = bodies[rival.index].implant
-            order = symmetry_order(implant.mesh, implant.tip_mm, implant.axis)
-            if not rival.is_the_same(order):
-                left.append(rival)
-    return tuple(left)
+
+def _order(implant: Implant) -> int:
+    return symmetry_order(implant.mesh, implant.tip_mm, implant.axis)
 
 
 def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:

@@ -19,7 +19,7 @@ from screwpose.similarity.assessment import Bodies, assess, energies_of, path_le
 from screwpose.similarity.thickness import GradientTarget
 
 # Derivatives that were smoothed by 1.3 px share their noise with their neighbours: so many of them count as one.
-_CORRELATED_PX = 8.0
+CORRELATED_PX = 8.0
 _DAMPING = 1e-4
 _FULL_STEP = (0.05, 1.0)  # rad and mm, at half resolution and finer
 _SMALL_STEP = 0.1  # of the full one: a quarter of a pixel at half resolution
@@ -197,9 +197,9 @@ def linearised(
         list(zip(targets, fixed or [None] * len(targets), strict=True)),
     )
     if of_images is None:
-        of_images = np.asarray(np.sum([view.information for view in views], axis=0) / _CORRELATED_PX)
+        of_images = np.asarray(np.sum([view.information for view in views], axis=0) / CORRELATED_PX)
     information = of_images.copy()
-    gradient = np.sum([view.gradient for view in views], axis=0) / _CORRELATED_PX
+    gradient = np.sum([view.gradient for view in views], axis=0) / CORRELATED_PX
     for index, (body, pose) in enumerate(zip(bodies, poses, strict=True)):
         if body.marks is not None:
             own = slice(6 * index, 6 * index + 6)

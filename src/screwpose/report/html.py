@@ -20,7 +20,14 @@ from screwpose.report.shadows import Shadow
 from screwpose.report.space import Space, page_data
 from screwpose.report.still import still_picture
 from screwpose.report.tables import combination_table, pairs_text
-from screwpose.report.words import DISCLAIMER, SCREW_STATUS_WORDS, STATUS_WORDS, combination_verdict, pairing_story
+from screwpose.report.words import (
+    DISCLAIMER,
+    SCREW_STATUS_WORDS,
+    STATUS_WORDS,
+    combination_verdict,
+    expected_error_text,
+    pairing_story,
+)
 
 _LONGEST_SIDE_PX = 1400
 _JPEG_QUALITY = 92
@@ -154,19 +161,11 @@ def _screw(index: int, screw: ScrewResultFile, case: Case, drawings: Drawings, p
         "tip": _vector(screw.tip),
         "center": _vector(screw.center),
         "axis": _vector(screw.axis, 5),
-        "sigma": _sigma_text(screw),
+        "sigma": expected_error_text(screw.sigma),
         "scores": screw.scores,
         "residuals": _residuals(screw, case, drawings),
         "matrices": [(f"matrix-{index}-{n}", name, _matrix(rows)) for n, (name, rows) in enumerate(matrices)],
     }
-
-
-def _sigma_text(screw: ScrewResultFile) -> str | None:
-    sigma = screw.sigma
-    if sigma is None:
-        return None
-    given = [("tip", sigma.tip_mm, " mm"), ("axis", sigma.axis_deg, "°"), ("roll", sigma.roll_deg, "°")]
-    return ", ".join(f"{name} {value:.2g}{unit}" for name, value, unit in given if value is not None) or None
 
 
 def _residuals(screw: ScrewResultFile, case: Case, drawings: Drawings) -> list[tuple[str, str]]:

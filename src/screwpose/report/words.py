@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from screwpose.files.case import Case
-from screwpose.files.schema import CombinationFile, ResultFile
+from screwpose.files.schema import CombinationFile, ResultFile, SigmaFile
 from screwpose.report.comparison import Comparison
 from screwpose.report.tables import chosen_combination, pairs_text, same_pairs
 
@@ -108,3 +108,11 @@ def _dice_sentences(answer: ResultFile, chosen: CombinationFile | None) -> list[
 
 def _plural(noun: str, number: int) -> str:
     return noun if number == 1 else f"{noun}s"
+
+
+def expected_error_text(sigma: SigmaFile | None) -> str | None:
+    """How far a pose may be off, in one line; None where nothing of it was estimated."""
+    if sigma is None:
+        return None
+    given = [("tip", sigma.tip_mm, " mm"), ("axis", sigma.axis_deg, "°"), ("roll", sigma.roll_deg, "°")]
+    return ", ".join(f"{name} {value:.2g}{unit}" for name, value, unit in given if value is not None) or None

@@ -59,6 +59,8 @@ class Assessment:
     information, gradient : (6 B, 6 B) and (6 B,), the normal equations of the residuals by the bodies' motions, each
         pixel's noise as `spread` tells it: a rotation vector in world about the body's centre, then a shift in world.
         Empty where not asked for.
+    scores : (block rows, block columns, 6 B), what each block of the image adds to the gradient. Empty where not asked
+        for.
     """
 
     response: FloatArray
@@ -67,6 +69,7 @@ class Assessment:
     shares: FloatArray
     information: FloatArray
     gradient: FloatArray
+    scores: FloatArray
     _found: "kernels.Assessed" = field(repr=False)
 
     def compared(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -88,6 +91,7 @@ def assess(
     held_response: FloatArray | None = None,
     fixed_mm: ImageArray | None = None,
     with_gradient: bool = False,
+    block_px: int = 0,
 ) -> Assessment:
     """Draw bodies at poses (4, 4) each, fit the response, and see what is left.
 
@@ -98,6 +102,7 @@ def assess(
     fixed_mm : as `path_lengths_of` has them, of bodies that stand still beside these: they explain too, and pixels
         that these do not reach are not compared.
     with_gradient : the right side of the normal equations alone, which takes half the time.
+    block_px : side of the blocks whose scores come with the normal equations; 0: none.
 
     Raises
     ------
@@ -116,6 +121,7 @@ def assess(
         with_gradient or with_normal_equations,
         with_normal_equations,
         with_shares,
+        block_px,
     )
     _check_depth(found.nearest_mm)
     return Assessment(
@@ -125,6 +131,7 @@ def assess(
         found.shares,
         found.information / found.spread**2,
         found.gradient / found.spread**2,
+        found.scores / found.spread**2,
         found,
     )
 

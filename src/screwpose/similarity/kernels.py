@@ -14,7 +14,13 @@ from numba import njit
 
 from screwpose.projection.length_kernels import draw
 from screwpose.similarity.local_kernels import localise
-from screwpose.similarity.motion_kernels import add_gradient, add_information, pulled_by, steepness_of
+from screwpose.similarity.motion_kernels import (
+    add_gradient,
+    add_information,
+    add_scores,
+    pulled_by,
+    steepness_of,
+)
 from screwpose.similarity.near_kernels import (
     add_row,
     along_row,
@@ -46,18 +52,23 @@ Constants = namedtuple(
 
 Assessed = namedtuple(
     "Assessed",
-    ["energy", "spread", "response", "shares", "information", "gradient", "near", "mask", "residuals", "nearest_mm"],
-)
+    [
+        "energy", "spread", "response", "shares", "information", "gradient", "scores", "near", "mask", "residuals",
+        "nearest_mm",
+    ],
+)  # fmt: skip
 """energy, spread, response (n,): see `thickness.Explanation`. shares (B,): the energy near each body. information
-(6 B, 6 B) and gradient (6 B,): the normal equations, in units of 1 over the squared spread of one pixel. All of them
-empty or 0 where they are not wanted. mask (N,) and residuals (2, N): of the pixels in the runs of `near`. nearest_mm is
+(6 B, 6 B) and gradient (6 B,): the normal equations, in units of 1 over the squared spread of one pixel. scores
+(block rows, block columns, 6 B): what each block of the image adds to the gradient. All of them empty or 0 where they
+are not wanted. mask (N,) and residuals (2, N): of the pixels in the runs of `near`. nearest_mm is
 the smallest depth of a vertex: not positive, nothing was done."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def assess(
-    view, bodies, world_from_cad, constants, held_response, fixed_mm, with_gradient, with_information, with_shares
-):
+    view, bodies, world_from_cad, constants, held_response, fixed_mm, with_gradient, with_information, with_shares,
+    block_px,
+):  # fmt: skip
     """Draw bodies at poses, fit the response, and see what is left: `Assessed`.
 
     Parameters
@@ -67,6 +78,7 @@ def assess(
     held_response : (n,), a response that is known but for a factor: it takes a third of the time; empty otherwise.
     fixed_mm : (rows, columns) of the X-ray, the path lengths through bodies that stand still; (0, 0) where none do.
     with_gradient, with_information : the right side and the matrix of the normal equations; the former is quick.
+    block_px : of the scores, which come with the matrix; 0: none.
     """
     count = world_from_cad.shape[0]
     terms = len(constants.saturation_mm)
@@ -78,13 +90,14 @@ def assess(
     unknowns = 6 * count if with_information else 0
     information, gradient = np.zeros((unknowns, unknowns)), np.zeros(6 * count if with_gradient else 0)
     shares = np.zeros(count if with_shares else 0)
+    scores = np.zeros((0, 0, unknowns))
     reach = len(view.smooth) - 1
     near = near_runs(drawn, reach, view.bounds)
     size = near.offset[-1]
     if size == 0 or not drawn.nearest_mm > 0.0:
         mask, residuals = np.zeros(size, np.float32), np.zeros((2, size), np.float32)
         return Assessed(
-            0.0, 1.0, np.zeros(terms), shares, information, gradient, near, mask, residuals, drawn.nearest_mm
+            0.0, 1.0, np.zeros(terms), shares, information, gradient, scores, near, mask, residuals, drawn.nearest_mm
         )
     total_mm, window = _together(drawn, near, view, reach, fixed_mm)
     rows, columns = total_mm.shape
@@ -129,12 +142,22 @@ def assess(
                 scattered(near, window, pulls, placed[along])
             add_gradient(drawn, steepness, pulled_by(placed, view), window, gradient)
         if with_information:
+            with_scores = block_px > 0 and with_gradient
+            pulled = placed.copy() if with_scores else placed
             for along in range(2):
                 if view.is_local:
                     weights[along] *= gain * gain
                 scattered(near, window, weights[along], placed[along])
-            add_information(drawn, (view.smooth, view.slope), view.bounds, steepness, window, placed, information)
-    return Assessed(energy, spread, response, shares, information, gradient, near, mask, residuals, drawn.nearest_mm)
+            motions = add_information(
+                drawn, (view.smooth, view.slope), view.bounds, steepness, window, placed, information
+            )
+            if with_scores:
+                down, across = view.counts.shape
+                scores = np.zeros(((down - 1) // block_px + 1, (across - 1) // block_px + 1, unknowns))
+                add_scores(motions, window, pulled, block_px, scores)
+    return Assessed(
+        energy, spread, response, shares, information, gradient, scores, near, mask, residuals, drawn.nearest_mm
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -142,9 +165,7 @@ def energies_of(view, bodies, candidates, constants, held_response, fixed_mm):
     """The explained energies (K,) with one body at each of K poses (K, 4, 4), and the smallest depth of any vertex."""
     energies, nearest_mm = np.empty(len(candidates)), np.inf
     for k in range(len(candidates)):
-        one = assess(
-            view, bodies, candidates[k : k + 1], constants, held_response, fixed_mm, False, False, False
-        )  # fmt: skip
+        one = assess(view, bodies, candidates[k : k + 1], constants, held_response, fixed_mm, False, False, False, 0)
         energies[k], nearest_mm = one.energy, min(nearest_mm, one.nearest_mm)
     return energies, nearest_mm
 

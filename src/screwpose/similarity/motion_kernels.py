@@ -209,3 +209,26 @@ def add_information(drawn, taps, bounds, steepness, window, weights, information
         for j in range(i):
             information[i, j] = information[j, i]
     return moved, near_rows, rows_of, near_left, near_right, near_offset
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_scores(motions, window, pulls, block_px, scores):
+    """Fill what each block of the image adds to the right side of the normal equations, (block rows, block columns,
+    6 B): motions as `add_information` returns them; pulls are (2, rows, columns) of the window."""
+    moved, first_row, rows_of, lefts, rights, offset = motions
+    top, left = window
+    for body in range(len(first_row)):
+        for row in range(rows_of[body + 1] - rows_of[body]):
+            place = rows_of[body] + row
+            y = first_row[body] + row
+            column, end = lefts[place], rights[place]
+            while column < end:
+                last = min((column // block_px + 1) * block_px, end)
+                begin = offset[place] + column - lefts[place]
+                own = slice(begin, begin + last - column)
+                block = scores[y // block_px, column // block_px]
+                for along in range(2):
+                    pull = pulls[along, y - top, column - left : last - left]
+                    for i in range(6):
+                        block[6 * body + i] += np.float64(product(pull, moved[i, along, own]))
+                column = last
