@@ -206,17 +206,20 @@ def settle_by_thickness(
     found, quality = _judged(case, thickness, bodies, ended, noise, refined)
     if refined is not None:  # the cameras' errors, which are not known here, would be in the poses'
         return found, quality
-    return found, replace(quality, errors=_expected_errors(thickness, bodies, final, stage.mark_sigma_px))
+    return found, replace(quality, errors=_expected_errors(thickness, bodies, final, leads_mm, stage.mark_sigma_px))
 
 
 def _expected_errors(
-    thickness: Thickness, bodies: Sequence[Body], poses: Sequence[FloatArray], mark_sigma_px: float
+    thickness: Thickness,
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    leads_mm: Sequence[float],
+    mark_sigma_px: float,
 ) -> tuple[ExpectedError, ...]:
     errors = expected_errors(thickness.sharp, bodies, poses, mark_sigma_px)
-    orders = {body.implant.name: _order(body.implant) for body in bodies}
-    return tuple(  # a model of revolution has facets, which show some roll that is none
-        error.without_roll() if orders[body.implant.name] == CONTINUOUS else error
-        for body, error in zip(bodies, errors, strict=True)
+    return tuple(  # a model of revolution has facets, which show some roll that is none; what has a thread is none
+        error.without_roll() if not lead_mm and _order(body.implant) == CONTINUOUS else error
+        for body, lead_mm, error in zip(bodies, leads_mm, errors, strict=True)
     )
 
 

@@ -191,16 +191,16 @@ def compared_again(
         if rival.preference >= _CLEAR_SIGMAS:
             judged.append(rival)
             continue
-        implant = bodies[rival.index].implant
-        start = list(best)
-        start[rival.index] = turned(implant, best[rival.index], float(np.radians(rival.turn_deg)))
-        start[rival.index][:3, 3] += rival.shift_mm * (start[rival.index][:3, :3] @ implant.axis)
-        other = list(fit_at_scale(views, bodies, start, mark_sigma_px, iterations, enough_mm).world_from_cad)
-        by = preference(views, bodies, other, best)
+        body = bodies[rival.index]
+        fixed = standing(views, bodies, best, rival.index)
+        start = turned(body.implant, best[rival.index], float(np.radians(rival.turn_deg)))
+        start[:3, 3] += rival.shift_mm * (start[:3, :3] @ body.implant.axis)
+        other = fit_at_scale(views, [body], [start], mark_sigma_px, iterations, enough_mm, fixed).world_from_cad[0]
+        by = preference(views, [body], [other], [best[rival.index]], fixed)
         if by > DECIDED_SIGMAS:
-            best, other, by = other, best, -by
+            best[rival.index], other, by = other, best[rival.index], -by
             best = list(fit_at_scale(views, bodies, best, mark_sigma_px, iterations, enough_mm).world_from_cad)
-        judged.append(Rival(rival.index, *_apart(implant, best[rival.index], other[rival.index]), -by))
+        judged.append(Rival(rival.index, *_apart(body.implant, best[rival.index], other), -by))
     return best, [rival for rival in judged if not rival.is_the_same(1)]
 
 
