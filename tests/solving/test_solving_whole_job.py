@@ -101,6 +101,7 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
 def test_a_roll_that_cannot_be_seen_is_absent_and_said(
     simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    monkeypatch.setattr("screwpose.pairing.thickness.thread_lead_mm", lambda *_: 0.0)  # nothing round has a thread
     monkeypatch.setattr("screwpose.pairing.thickness.symmetry_order", lambda *_: CONTINUOUS)
     answer = solve(simulated[0], replace(QUICK, combinations=1)).answer
     for screw in answer.screws:
