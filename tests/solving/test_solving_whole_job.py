@@ -86,7 +86,8 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
     # Overlapping screws of one level: their marks nearly share epipolar lines, and the method says what it knows.
     one = found["epipolar"].answer
     assert pairing_is_right(one, truth) or one.pairing.status == "ambiguous"
-    assert found["default"].answer.combinations[0].probability >= one.combinations[0].probability
+    # Nor is it less sure for knowing the length; it only doubts the noise, which `epipolar` takes as it is given.
+    assert found["default"].answer.combinations[0].probability > 0.999
 
 
 def test_the_same_seed_gives_the_same_answer(simulated: tuple[Case, TruthFile]) -> None:
