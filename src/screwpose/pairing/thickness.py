@@ -180,6 +180,8 @@ def settle_by_thickness(
     stages = _stages(thickness, noise)
     leads_mm = _leads_mm(thickness, combination)
     if begun is not None:
+        if progress is not None:
+            progress(0.0, "ending poses and cameras on the sharpest images")
         finished = finish_cameras(case, begun, bodies, leads_mm, thickness.targets, stages)
         if finished is not None:
             cameras, turned = finished
@@ -201,6 +203,8 @@ def settle_by_thickness(
         thickness.sharp, bodies, poses, at_rest.rivals, stage.mark_sigma_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM
     )
     ended = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
+    if progress is not None:
+        progress(0.9, "judging cameras and errors")
     refined = free_if_worth(case, combination, bodies, tuple(final), thickness.targets, stages)
     refined = refined or left_alone(case, combination, tuple(final))
     found, quality = _judged(case, thickness, bodies, ended, noise, refined)
