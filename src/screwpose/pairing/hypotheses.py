@@ -1,6 +1,6 @@
 """Which screw in one view may be which in another? Every pair that the rays allow, and the combinations of pairs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from screwpose.geometry import Camera
 from screwpose.pairing.assignment import cheapest_assignments
 from screwpose.pairing.loose import loosened
 from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
+from screwpose.pairing.segments import fit_segments
 
 # A pair so far from its landmarks (15 px in one of them at 2 px of noise) is no pair: two marks of different screws.
 _NO_PAIR_CHI_SQUARE = 60.0
@@ -91,7 +92,7 @@ class HypothesisTable:
     def get(self, labels: Labels) -> Hypothesis | None:
         """The best model's hypothesis for a screw marked in two views or more; None where the geometry forbids it."""
         if labels not in self._known:
-            self._known[labels] = self._fit(labels)
+            self.fit([labels])
         return self._known[labels]
 
     def chi_square(self, labels: Labels) -> float:
@@ -101,29 +102,73 @@ class HypothesisTable:
         hypothesis = self.get(labels)
         return np.inf if hypothesis is None else hypothesis.fit.chi_square
 
-    def _fit(self, labels: Labels) -> Hypothesis | None:
-        cameras = [self._case.views[view].camera for view, _ in labels]
+    def fit(self, screws: Iterable[Labels]) -> None:
+        """Fit all of these that were not fitted yet, side by side: much faster than one after the other."""
+        new = [labels for labels in dict.fromkeys(screws) if len(labels) > 1 and labels not in self._known]
+        tasks = [(labels, model) for labels in new for model in self._models_of(labels)]
+        if self._fit_marks is fit_segment:
+            fits = self._fitted_together(tasks)
+        else:
+            fits = [self._fitted(*task) for task in tasks]
+        of_screw: dict[Labels, dict[str, SegmentFit | None]] = {labels: {} for labels in new}
+        for (labels, model), fit in zip(tasks, fits, strict=True):
+            of_screw[labels][model] = fit
+        self._known.update({labels: _best_model(labels, found) for labels, found in of_screw.items()})
+
+    def _models_of(self, labels: Labels) -> list[str]:
+        """Which models a screw may be: none, where it was marked as two different ones."""
+        named = {model for model in (self._marks[key].model for key in labels) if model is not None}
+        if len(named) > 1:
+            return []
+        return sorted(named) or list(self._case.implants)
+
+    def _fitted(self, labels: Labels, model: str) -> SegmentFit | None:
+        cameras, tips, centers = self._seen(labels)
+        try:
+            return self._fit_marks(cameras, tips, centers, self._case.implants[model].length_mm, self._noise)
+        except GeometryError:
+            return None  # parallel rays, or they meet behind a source
+
+    def _fitted_together(self, tasks: Sequence[tuple[Labels, str]]) -> list[SegmentFit | None]:
+        fits: dict[int, SegmentFit | None] = {}
+        for views in sorted({len(labels) for labels, _ in tasks}):
+            those = [index for index, (labels, _) in enumerate(tasks) if len(labels) == views]
+            seen = [self._seen(tasks[index][0]) for index in those]
+            lengths_mm = np.array([self._case.implants[tasks[index][1]].length_mm for index in those])
+            together = fit_segments(
+                [one[0] for one in seen],
+                np.array([one[1] for one in seen]),
+                np.array([one[2] for one in seen]),
+                lengths_mm,
+                self._noise,
+            )
+            fits.update(zip(those, together, strict=True))
+        return [self._loosened(*task, fits[index]) for index, task in enumerate(tasks)]
+
+    def _loosened(self, labels: Labels, model: str, fit: SegmentFit | None) -> SegmentFit | None:
         given = [self._case.views[view].sigma for view, _ in labels]
         sigmas = [None if sigma == "auto" else sigma for sigma in given]  # "auto": the landmarks contradict nothing
+        if fit is None or not any(sigmas):
+            return fit
+        cameras, tips, centers = self._seen(labels)
+        return loosened(fit, cameras, sigmas, tips, centers, self._case.implants[model].length_mm, self._noise)
+
+    def _seen(self, labels: Labels) -> tuple[list[Camera], FloatArray, FloatArray]:
+        """The cameras that see a screw, and its tips and centres (V, 2) there."""
         marks = [self._marks[key] for key in labels]
-        tips, centers = np.array([mark.tip_px for mark in marks]), np.array([mark.center_px for mark in marks])
-        named = {mark.model for mark in marks if mark.model is not None}
-        if len(named) > 1:
-            return None  # marked as two different models: not one screw
-        fits = {}
-        for name in sorted(named) or self._case.implants:
-            try:
-                length_mm = self._case.implants[name].length_mm
-                fits[name] = self._fit_marks(cameras, tips, centers, length_mm, self._noise)
-                if self._fit_marks is fit_segment and any(sigmas):
-                    fits[name] = loosened(fits[name], cameras, sigmas, tips, centers, length_mm, self._noise)
-            except GeometryError:
-                return None  # parallel rays, or they meet behind a source: for every model alike
-        best, *others = sorted(fits, key=lambda name: fits[name].chi_square)
-        if not others:
-            return Hypothesis(labels, best, fits[best])
-        margin = fits[others[0]].chi_square - fits[best].chi_square
-        return Hypothesis(labels, best, fits[best], others[0], margin)
+        cameras = [self._case.views[view].camera for view, _ in labels]
+        return cameras, np.array([mark.tip_px for mark in marks]), np.array([mark.center_px for mark in marks])
+
+
+def _best_model(labels: Labels, fits: Mapping[str, SegmentFit | None]) -> Hypothesis | None:
+    possible = {name: fit for name, fit in fits.items() if fit is not None}
+    if len(possible) < len(fits) or not possible:
+        return None  # what the rays forbid they forbid every model; and a screw of two models is none
+    best, *others = sorted(possible, key=lambda name: possible[name].chi_square)
+    if not others:
+        return Hypothesis(labels, best, possible[best])
+    margin = possible[others[0]].chi_square - possible[best].chi_square
+    return Hypothesis(labels, best, possible[best], others[0], margin)
 
 
 def combinations(
@@ -168,6 +213,7 @@ def _by_cost(tracks: _Tracks) -> float:
 
 def _extended(table: HypothesisTable, tracks: _Tracks, view: str, labels: Sequence[str], ranked: int) -> list[_Tracks]:
     """Every way, cheapest first, to continue the screws with the marks of one more view."""
+    table.fit((*screw, (view, label)) for screw in tracks.screws for label in labels)
     costs = np.array(
         [
             [table.chi_square((*screw, (view, label))) - table.chi_square(screw) for label in labels]
