@@ -14,13 +14,15 @@ from screwpose.errors import CancelledError, MeshError
 from screwpose.files.case import Case
 from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
+from screwpose.pairing.advice import why_open
 from screwpose.pairing.answer import Trial, answered, refused
 from screwpose.pairing.cameras import CameraMode, with_sigmas
-from screwpose.pairing.confidence import judge, judged_again, probabilities
+from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge, judged_again
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
-from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable, combinations
+from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
 from screwpose.pairing.plausibility import check_plausibility
+from screwpose.pairing.ranking import ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
 from screwpose.registration import Progress, SearchOptions
@@ -102,7 +104,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     case = with_sigmas(case, options.cameras, options.noise)
     findings = check_plausibility(case, options.noise)
     table = HypothesisTable(case, options.noise, _FITS[options.method])
-    ranked = combinations(case, options.noise, options.combinations, table)
+    ranking = ranked_pairings(case, options.noise, table, options.combinations)
+    ranked = ranking.shown(options.combinations)
     if errors_in(findings) or not ranked:
         reasons = [finding.within_file() for finding in findings] or ["no two marks can be one screw"]
         return refused(case, reasons, clock.read("pairing"))
@@ -111,8 +114,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     placed = _placed(evidence, ranked, _within(tell, 0.02, 0.15))
     evidence = with_metal(evidence, case, list(zip(ranked, placed, strict=True)))
     trials = [
-        Trial(combination, float(probability), poses, score(evidence, combination, poses))
-        for combination, poses, probability in zip(ranked, placed, probabilities(ranked), strict=True)
+        Trial(combination, ranking.probability_of(combination), poses, score(evidence, combination, poses))
+        for combination, poses in zip(ranked, placed, strict=True)
     ]
     warnings = [finding.within_file() for finding in warnings_in(findings)]
     clock.lap("pairing")
@@ -130,7 +133,11 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
         return refused(case, confidence.reasons, clock.read("judging"))
     if warnings and confidence.status == "confident":
         confidence = replace(confidence, status="ambiguous")
-    result = answered(case, evidence, trials, confidence, options.noise, warnings, clock.read("judging"))
+    ranking = ranking.with_probabilities({trial.combination: trial.probability for trial in trials})
+    why = why_open(case, options.noise, ranking) if confidence.probability < CONFIDENT_PROBABILITY else None
+    if why is not None:
+        confidence = replace(confidence, reasons=(*confidence.reasons, why))
+    result = answered(case, evidence, trials, confidence, ranking, options.noise, warnings, clock.read("judging"))
     tell(1.0, "solved")
     return result
 

@@ -82,6 +82,12 @@ class PairingFile(FileModel):
     )
     pairs: tuple[Labels, ...] = Field(description="for each screw its label in each view that shows it")
     unpaired: dict[Name, tuple[Name, ...]] = Field(description="for each view the labels that found no partner")
+    pair_probabilities: tuple[Fraction, ...] | None = Field(
+        None, description="for each of `pairs` the probability that it is right; absent where the method gives none"
+    )
+    unpaired_probabilities: dict[Name, tuple[Fraction, ...]] | None = Field(
+        None, description="for each of `unpaired` the probability that it has no partner"
+    )
     chosen_by: ChosenBy | None = Field(None, description="the combination that each stage's Dice score names")
 
 
@@ -179,6 +185,9 @@ class ResultFile(FileModel):
         for stage, number in (("pre", chosen.pre), ("post", chosen.post)):
             if number is not None and number not in ids:
                 raise problem_of(f"pairing.chosen_by.{stage} is {number}", f"the id of a combination, one of {ids}")
+        odds = self.pairing.pair_probabilities
+        if odds is not None and len(odds) != len(self.pairing.pairs):
+            raise problem_of(f"{len(self.pairing.pairs)} pairs have {len(odds)} probabilities", "one for each pair")
         if self.status == "refused" and (self.screws or not self.warnings):
             found = f"{len(self.screws)} screws and {len(self.warnings)} warnings"
             raise problem_of(f"a refused result has {found}", "no screws, and a warning that says why")

@@ -4,6 +4,7 @@ from screwpose.pairing.assignment import Assignment, cheapest_assignments
 from screwpose.pairing.confidence import Confidence, judge, p_value, probabilities
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, combinations
+from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Hypothesis",
     "HypothesisTable",
     "LandmarkNoise",
+    "Ranking",
     "SegmentFit",
     "cheapest_assignments",
     "combinations",
@@ -21,4 +23,5 @@ __all__ = [
     "judge",
     "p_value",
     "probabilities",
+    "ranked_pairings",
 ]

@@ -33,6 +33,7 @@ from screwpose.pairing.confidence import Confidence
 from screwpose.pairing.evidence import Evidence, Poses, score_each
 from screwpose.pairing.hypotheses import Combination
 from screwpose.pairing.landmark_fit import landmark_offsets_px
+from screwpose.pairing.ranking import Ranking
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.pairing.thickness import Quality
 from screwpose.registration import Registered
@@ -103,6 +104,7 @@ def answered(
     evidence: Evidence,
     trials: Sequence[Trial],
     confidence: Confidence,
+    ranking: Ranking,
     noise: LandmarkNoise,
     warnings: Sequence[str],
     timing_s: dict[str, float],
@@ -126,6 +128,13 @@ def answered(
             probability=confidence.probability,
             pairs=_pairs(trials[0].combination),
             unpaired=dict(unpaired),
+            pair_probabilities=tuple(
+                ranking.pair_probability(hypothesis.labels) for hypothesis in trials[0].combination.hypotheses
+            ),
+            unpaired_probabilities={
+                view: tuple(ranking.alone_probability(view, label) for label in labels)
+                for view, labels in unpaired.items()
+            },
             chosen_by=ChosenBy(
                 pre=max(numbered, key=lambda one: one[1].pre.dice)[0],
                 post=max(

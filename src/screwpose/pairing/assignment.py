@@ -29,13 +29,16 @@ class _Node:
     costs: FloatArray = field(compare=False)
 
 
-def cheapest_assignments(costs: FloatArray, unpaired_cost: float, count: int) -> list[Assignment]:
+def cheapest_assignments(
+    costs: FloatArray, unpaired_cost: float, count: int, within: float = np.inf
+) -> list[Assignment]:
     """The `count` cheapest assignments, cheapest first.
 
     Parameters
     ----------
     costs : (rows, columns); infinity forbids a pair.
     unpaired_cost : the price of a row without a column. Columns left over cost nothing.
+    within : those that cost so much more than the cheapest are left out.
 
     References
     ----------
@@ -63,6 +66,8 @@ def cheapest_assignments(costs: FloatArray, unpaired_cost: float, count: int) ->
     found: list[Assignment] = []
     while heap and len(found) < count:
         node = heapq.heappop(heap)
+        if found and node.cost > found[0].cost + within:
+            break
         found.append(Assignment(tuple(c if c < columns else None for c in node.assigned), node.cost))
         # Murty's partition of the rest: the first i rows as here, row i otherwise.
         fixed = node.costs.copy()
@@ -71,7 +76,7 @@ def cheapest_assignments(costs: FloatArray, unpaired_cost: float, count: int) ->
             other[row, column] = np.inf
             branch = solve(other, solved)
             solved += 1
-            if branch is not None:
+            if branch is not None and branch.cost <= found[0].cost + within:
                 heapq.heappush(heap, branch)
             keep = fixed[row, column]
             fixed[row, :] = np.inf

@@ -13,9 +13,10 @@ import numpy as np
 
 from screwpose._types import FloatArray
 from screwpose.pairing.hypotheses import Combination, Hypothesis
+from screwpose.pairing.posterior import PairingModel, log_scale_evidence
 
 Status = Literal["confident", "ambiguous", "refused"]
-_CONFIDENT_PROBABILITY = 0.99
+CONFIDENT_PROBABILITY = 0.99
 # Landmarks this unlikely under the assumed noise are doubted, and at the second limit not believed at all.
 _DOUBTFUL_P_VALUE = 1e-3
 _IMPOSSIBLE_P_VALUE = 1e-12
@@ -42,8 +43,8 @@ def probabilities(combinations: Sequence[Combination]) -> FloatArray:
 def judged_again(known: FloatArray, chi_square: FloatArray, degrees_of_freedom: FloatArray) -> FloatArray:
     """Probabilities (K,) once some combinations were registered, by how far their marks are from their models.
 
-    Those that were not registered keep what they had; the others share theirs by ``exp(-chi^2 / 2)``, again divided
-    by Birge's ratio.
+    Those that were not registered keep what they had; the others share theirs by ``exp(-chi^2 / (2 s^2))``, over which
+    the noise's unknown factor s is integrated.
 
     Parameters
     ----------
@@ -53,9 +54,12 @@ def judged_again(known: FloatArray, chi_square: FloatArray, degrees_of_freedom: 
     registered = np.isfinite(chi_square)
     if not registered.any():
         return known
-    best = int(np.nanargmin(chi_square))
-    ratio = max(1.0, float(chi_square[best] / degrees_of_freedom[best]))
-    weights = np.where(registered, np.exp(-(np.nan_to_num(chi_square) - chi_square[best]) / (2.0 * ratio)), 0.0)
+    log_weights = np.where(
+        registered,
+        log_scale_evidence(np.nan_to_num(chi_square), np.nan_to_num(degrees_of_freedom), PairingModel().scale_sd),
+        -np.inf,
+    )
+    weights = np.exp(log_weights - log_weights.max())
     shared = float(known[registered].sum())
     return np.asarray(np.where(registered, shared * weights / weights.sum(), known), dtype=np.float64)
 
@@ -97,10 +101,10 @@ def judge(combinations: Sequence[Combination], chosen: int, probability: float |
             ),
         )
     reasons = []
-    if probability < _CONFIDENT_PROBABILITY:
+    if probability < CONFIDENT_PROBABILITY:
         reasons.append(
             f"the landmarks leave the pairing open: the chosen one has a probability of {probability:.3f}, "
-            f"{_CONFIDENT_PROBABILITY} is needed to be sure"
+            f"{CONFIDENT_PROBABILITY} is needed to be sure"
         )
     if p_value(combinations[chosen]) < _DOUBTFUL_P_VALUE:
         words = _fit_words(combinations[chosen])

@@ -9,17 +9,10 @@ from screwpose._types import FloatArray
 from screwpose.errors import GeometryError
 from screwpose.files.case import Annotation, Case
 from screwpose.geometry import Camera
-from screwpose.pairing.assignment import cheapest_assignments
 from screwpose.pairing.loose import loosened
 from screwpose.pairing.segment import LandmarkNoise, SegmentFit, fit_segment
 from screwpose.pairing.segments import fit_segments
 
-# A pair so far from its landmarks (15 px in one of them at 2 px of noise) is no pair: two marks of different screws.
-_NO_PAIR_CHI_SQUARE = 60.0
-# Assignments with fewer pairs rank among those with all, so more are ranked than are asked for; with more than two
-# views every one of them is continued, so fewer.
-_RANKED_OF_TWO_VIEWS = 400
-_RANKED_OF_MORE = 24
 Labels = tuple[tuple[str, str], ...]
 """One screw's labels: (view, label) for each view in which it was marked, in the order of the views."""
 Fit = Callable[[Sequence[Camera], FloatArray, FloatArray, float, LandmarkNoise], SegmentFit]
@@ -102,6 +95,15 @@ class HypothesisTable:
         hypothesis = self.get(labels)
         return np.inf if hypothesis is None else hypothesis.fit.chi_square
 
+    @property
+    def knows_length(self) -> bool:
+        """Whether the fits ask how far tip and centre are apart."""
+        return self._fit_marks is fit_segment
+
+    def fits(self) -> list[SegmentFit]:
+        """All fits so far that the rays allow."""
+        return [one.fit for one in self._known.values() if one is not None]
+
     def fit(self, screws: Iterable[Labels]) -> None:
         """Fit all of these that were not fitted yet, side by side: much faster than one after the other."""
         new = [labels for labels in dict.fromkeys(screws) if len(labels) > 1 and labels not in self._known]
@@ -174,64 +176,20 @@ def _best_model(labels: Labels, fits: Mapping[str, SegmentFit | None]) -> Hypoth
 def combinations(
     case: Case, noise: LandmarkNoise, count: int, table: HypothesisTable | None = None
 ) -> list[Combination]:
-    """The pairings that explain the landmarks best, best first.
-
-    View after view, every screw found so far is given a mark of the next view or none. All that are returned pair as
-    many screws as the best one does.
+    """The most probable pairings, best first; all that are returned pair as many screws as the best one does.
 
     Parameters
     ----------
     count : at most so many. Two screws in two views have two, three have six; all of them are then returned.
     table : the case's hypotheses, where they were fitted before.
     """
-    table = table or HypothesisTable(case, noise)
-    ranked = _RANKED_OF_TWO_VIEWS if len(case.views) == 2 else _RANKED_OF_MORE
-    first, *others = case.views
-    beam = [_Tracks(tuple(((first, mark.label),) for mark in case.annotations[first]), 0.0)]
-    for view in others:
-        labels = [mark.label for mark in case.annotations[view]]
-        beam = sorted(
-            (longer for tracks in beam for longer in _extended(table, tracks, view, labels, ranked)), key=_by_cost
-        )
-        beam = beam[:ranked]
-    found = [_combination(table, case, tracks.screws) for tracks in beam]
-    screws = len(found[0].hypotheses) if found else 0
-    return [one for one in found if screws and len(one.hypotheses) == screws][:count]
+    from screwpose.pairing.ranking import ranked_pairings  # which is made of the hypotheses here
+
+    return ranked_pairings(case, noise, table, count).shown(count)
 
 
-@dataclass(frozen=True)
-class _Tracks:
-    """The screws after some of the views, and what they cost: chi-square, and a price for each that found no mark."""
-
-    screws: tuple[Labels, ...]
-    cost: float
-
-
-def _by_cost(tracks: _Tracks) -> float:
-    return tracks.cost
-
-
-def _extended(table: HypothesisTable, tracks: _Tracks, view: str, labels: Sequence[str], ranked: int) -> list[_Tracks]:
-    """Every way, cheapest first, to continue the screws with the marks of one more view."""
-    table.fit((*screw, (view, label)) for screw in tracks.screws for label in labels)
-    costs = np.array(
-        [
-            [table.chi_square((*screw, (view, label))) - table.chi_square(screw) for label in labels]
-            for screw in tracks.screws
-        ]
-    ).reshape(len(tracks.screws), len(labels))
-    longer = []
-    for assignment in cheapest_assignments(costs, _NO_PAIR_CHI_SQUARE, ranked):
-        continued = [
-            screw if column is None else (*screw, (view, labels[column]))
-            for screw, column in zip(tracks.screws, assignment.columns, strict=True)
-        ]
-        new = [((view, label),) for column, label in enumerate(labels) if column not in assignment.columns]
-        longer.append(_Tracks((*continued, *new), tracks.cost + assignment.cost))
-    return longer
-
-
-def _combination(table: HypothesisTable, case: Case, screws: Sequence[Labels]) -> Combination:
+def combination_of(table: HypothesisTable, case: Case, screws: Sequence[Labels]) -> Combination:
+    """An answer from the labels of its screws; a mark in one view alone has no partner."""
     hypotheses = tuple(h for h in (table.get(screw) for screw in screws if len(screw) > 1) if h is not None)
     paired = {key for hypothesis in hypotheses for key in hypothesis.labels}
     unpaired = {

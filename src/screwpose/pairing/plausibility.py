@@ -17,12 +17,14 @@ from screwpose.files.findings import Finding
 from screwpose.pairing.confidence import p_value, p_value_of
 from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, combinations
 from screwpose.pairing.mistakes import Suspect, families, swapped_ends, swapped_views
+from screwpose.pairing.oddities import odd_marks
+from screwpose.pairing.ranking import ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise
 
 # The landmarks are in doubt below the first value; a suspected mistake must lift them above the second.
 _SUSPICIOUS_P_VALUE = 1e-6
 _EXPLAINED_P_VALUE = 1e-3
-_CLEARLY_BETTER = 7.0  # in chi-square: odds of 33 to 1
+_CLEARLY_BETTER = 3.5  # logarithm of the odds of 33 to 1
 _AGAINST = -0.5  # cosine; the two screws of a level converge by up to 60 degrees, iliac ones by up to 90
 
 
@@ -39,7 +41,12 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
     table = HypothesisTable(case, noise)  # every pair is fitted once, whatever is asked of it
     chance = _explains(case, noise, table)
     if chance >= _SUSPICIOUS_P_VALUE:
-        return (*_better_swapped(case, noise, table), *_pointing_apart(case, noise, table))
+        best = combinations(case, noise, 1, table)[0]
+        return (
+            *_better_swapped(case, noise, table),
+            *_pointing_apart(case, noise, best),
+            *odd_marks(case, noise, best),
+        )
     lonely = _marks_without_partner(case, noise)
     some_fit = len(lonely) < sum(len(marks) for marks in case.annotations.values())
     # A mistake in a matrix, a unit or a way of counting spoils every pair: where some fit, only a mark can be wrong.
@@ -50,7 +57,7 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
                 Finding("error", suspect.problem, case.path, suspect.field, remedy=suspect.remedy, kind=suspect.kind),
             )
     if some_fit:
-        return (_lonely_marks(case, lonely),)
+        return (*_better_swapped(case, noise, table), _lonely_marks(case, lonely))
     return (
         Finding(
             "error",
@@ -91,21 +98,19 @@ def _lonely_marks(case: Case, lonely: Sequence[tuple[str, str]]) -> Finding:
 
 
 def _better_swapped(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> Iterator[Finding]:
-    """A warning where the landmarks fit, but fit clearly better with two matrices swapped.
+    """A warning where the landmarks fit clearly better with two matrices swapped.
 
     Two views at about 90 degrees are nearly mirror images of each other, and so is a swapped case: rays still meet,
-    screws keep their length, and only small asymmetries of the C-arm's path tell (none at all if there are none).
+    screws keep their length, and only small asymmetries of the C-arm's path tell (none at all if there are none). What
+    is compared is all that the pairings say together, of those marks too that stay alone.
     """
-    as_given = combinations(case, noise, 1, table)[0].chi_square
+    as_given = ranked_pairings(case, noise, table).log_evidence
     for suspect in swapped_views(case):
-        of_suspect = HypothesisTable(suspect.case, noise)
-        swapped = combinations(suspect.case, noise, 1, of_suspect)
-        is_better = bool(swapped) and as_given - swapped[0].chi_square > _CLEARLY_BETTER
-        if is_better and _explains(suspect.case, noise, of_suspect):
+        gain = ranked_pairings(suspect.case, noise).log_evidence - as_given
+        if gain > _CLEARLY_BETTER:
             yield Finding(
                 "warning",
-                f"{suspect.problem.replace('fit only', 'fit better')}: chi-square {swapped[0].chi_square:.1f} "
-                f"instead of {as_given:.1f}",
+                f"{suspect.problem.replace('fit only', 'fit better')}: by odds of {_odds_words(gain)} to 1",
                 case.path,
                 suspect.field,
                 remedy=suspect.remedy,
@@ -113,13 +118,17 @@ def _better_swapped(case: Case, noise: LandmarkNoise, table: HypothesisTable) ->
             )
 
 
-def _pointing_apart(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> Iterator[Finding]:
+def _odds_words(log_odds: float) -> str:
+    return f"{np.exp(log_odds):.0f}" if log_odds < np.log(1e6) else "more than a million"
+
+
+def _pointing_apart(case: Case, noise: LandmarkNoise, best: Combination) -> Iterator[Finding]:
     """A warning where one screw points against another.
 
     A mark whose line in the image is nearly the other view's epipolar line can be turned round without any ray missing
     another. The screw then comes out the other way round, which its neighbours show.
     """
-    apart = _opposed(combinations(case, noise, 1, table)[0])
+    apart = _opposed(best)
     if apart is None:
         return
     suspect = _best_of(swapped_ends(case), noise)

@@ -128,7 +128,7 @@ def _least_chi_squares(
         damping[to] = np.maximum(0.1 * damping[to], 1e-12)
         damping[going[~better]] *= 10.0
         going = going[~is_flat & (damping[going] <= _MOST_DAMPING)]
-    return cost
+    return np.asarray(cost)
 
 
 def _linearised(
