@@ -299,7 +299,7 @@ _ORDERS: dict[Method, Callable[[Trial], tuple[bool, float]]] = {
     "epipolar": _by_chi_square,
 }
 _PROMISING: dict[Method, Callable[[Trial], float]] = {
-    "default": lambda trial: trial.combination.chi_square,
+    "default": lambda trial: -trial.probability,
     "paper": lambda trial: -trial.pre.dice,
     "epipolar": lambda trial: trial.combination.chi_square,
 }

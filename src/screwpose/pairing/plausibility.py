@@ -15,10 +15,10 @@ from screwpose.errors import AnnotationError
 from screwpose.files.case import Case
 from screwpose.files.findings import Finding
 from screwpose.pairing.confidence import p_value, p_value_of
-from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, combinations
+from screwpose.pairing.hypotheses import Combination, Hypothesis, combinations
 from screwpose.pairing.mistakes import Suspect, families, swapped_ends, swapped_views
 from screwpose.pairing.oddities import odd_marks
-from screwpose.pairing.ranking import ranked_pairings
+from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise
 
 # The landmarks are in doubt below the first value; a suspected mistake must lift them above the second.
@@ -38,16 +38,15 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
     explain them, or that none of the usual ones does.
     """
     noise = noise or LandmarkNoise()
-    table = HypothesisTable(case, noise)  # every pair is fitted once, whatever is asked of it
-    chance = _explains(case, noise, table)
-    if chance >= _SUSPICIOUS_P_VALUE:
-        best = combinations(case, noise, 1, table)[0]
+    ranking = ranked_pairings(case, noise)
+    best = next(iter(ranking.shown(1)), None)
+    if best is not None and _explains(case, best) >= _SUSPICIOUS_P_VALUE:
         return (
-            *_better_swapped(case, noise, table),
+            *_better_swapped(case, noise, ranking),
             *_pointing_apart(case, noise, best),
             *odd_marks(case, noise, best),
         )
-    lonely = _marks_without_partner(case, noise)
+    lonely = _marks_without_partner(case, best)
     some_fit = len(lonely) < sum(len(marks) for marks in case.annotations.values())
     # A mistake in a matrix, a unit or a way of counting spoils every pair: where some fit, only a mark can be wrong.
     for family in [swapped_ends(case, set(lonely))] if some_fit else families(case):
@@ -57,7 +56,8 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
                 Finding("error", suspect.problem, case.path, suspect.field, remedy=suspect.remedy, kind=suspect.kind),
             )
     if some_fit:
-        return (*_better_swapped(case, noise, table), _lonely_marks(case, lonely))
+        assert best is not None
+        return (*_better_swapped(case, noise, ranking), *odd_marks(case, noise, best), _lonely_marks(case, lonely))
     return (
         Finding(
             "error",
@@ -71,10 +71,9 @@ def check_plausibility(case: Case, noise: LandmarkNoise | None = None) -> tuple[
     )
 
 
-def _marks_without_partner(case: Case, noise: LandmarkNoise) -> list[tuple[str, str]]:
+def _marks_without_partner(case: Case, best: Combination | None) -> list[tuple[str, str]]:
     """The marks (view, label) that stand in no pair that fits, in the best combination."""
-    found = combinations(case, noise, 1)
-    fitting = [one for one in (found[0].hypotheses if found else ()) if p_value_of(one) >= _EXPLAINED_P_VALUE]
+    fitting = [one for one in (best.hypotheses if best else ()) if p_value_of(one) >= _EXPLAINED_P_VALUE]
     paired = {key for one in fitting for key in one.labels}
     return [
         (view, mark.label)
@@ -97,16 +96,15 @@ def _lonely_marks(case: Case, lonely: Sequence[tuple[str, str]]) -> Finding:
     )
 
 
-def _better_swapped(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> Iterator[Finding]:
+def _better_swapped(case: Case, noise: LandmarkNoise, as_given: Ranking) -> Iterator[Finding]:
     """A warning where the landmarks fit clearly better with two matrices swapped.
 
     Two views at about 90 degrees are nearly mirror images of each other, and so is a swapped case: rays still meet,
     screws keep their length, and only small asymmetries of the C-arm's path tell (none at all if there are none). What
     is compared is all that the pairings say together, of those marks too that stay alone.
     """
-    as_given = ranked_pairings(case, noise, table).log_evidence
     for suspect in swapped_views(case):
-        gain = ranked_pairings(suspect.case, noise).log_evidence - as_given
+        gain = ranked_pairings(suspect.case, noise).log_evidence - as_given.log_evidence
         if gain > _CLEARLY_BETTER:
             yield Finding(
                 "warning",
@@ -158,22 +156,21 @@ def _best_of(family: Iterable[Suspect], noise: LandmarkNoise) -> Suspect | None:
     """Of the mistakes of one kind the one that explains the landmarks best and leaves no screws against each other."""
     best: tuple[tuple[bool, float], Suspect] | None = None
     for suspect in family:
-        table = HypothesisTable(suspect.case, noise)
-        chance = _explains(suspect.case, noise, table)
-        if chance >= _EXPLAINED_P_VALUE:
-            agree = _opposed(combinations(suspect.case, noise, 1, table)[0]) is None
+        explained = next(iter(combinations(suspect.case, noise, 1)), None)
+        chance = 0.0 if explained is None else _explains(suspect.case, explained)
+        if explained is not None and chance >= _EXPLAINED_P_VALUE:
+            agree = _opposed(explained) is None
             if best is None or (agree, chance) > best[0]:
                 best = ((agree, chance), suspect)
     return None if best is None else best[1]
 
 
-def _explains(case: Case, noise: LandmarkNoise, table: HypothesisTable) -> float:
+def _explains(case: Case, best: Combination) -> float:
     """The best pairing's p-value, 0 where a mark that could have had a partner stays alone."""
-    found = combinations(case, noise, 1, table)
     could_pair = sorted(len(marks) for marks in case.annotations.values())[-2]
-    if not found or len(found[0].hypotheses) < min(could_pair, len(case.annotations[next(iter(case.views))])):
+    if len(best.hypotheses) < min(could_pair, len(case.annotations[next(iter(case.views))])):
         return 0.0
-    return p_value(found[0])
+    return p_value(best)
 
 
 def _best_attempt(case: Case) -> str:

@@ -104,7 +104,7 @@ def ranked_pairings(
         return _ranked_by_chi_square(case, table)
     odds = _Odds(case, noise, table or HypothesisTable(case, noise), model)
     found: dict[tuple[Labels, ...], None] = {}
-    for scale in _SCALES:
+    for scale in _plausible_scales(odds):
         found.update(dict.fromkeys(_assignments(odds, scale, 0.0, _RANKED)))
     if not found:
         return Ranking((), np.zeros(0), 1.0)
@@ -121,6 +121,20 @@ def ranked_pairings(
     scale = scale_mean(first.chi_square, first.degrees_of_freedom, model.scale_sd)
     total = float(probabilities.sum())
     return Ranking(ranked, np.asarray(probabilities / total), scale, float(weights.max() + np.log(total)))
+
+
+def _plausible_scales(odds: "_Odds") -> tuple[float, ...]:
+    """The factors of the noise that the best assignments of all factors leave possible: few, where there are many
+    screws."""
+    best = {screws: None for scale in _SCALES for screws in _assignments(odds, scale, 0.0, 1)}
+    pairs = [odds.pairs_in(screws) for screws in best]
+    weights = odds.log_weights(pairs)
+    likely = [one for one, weight in zip(pairs, weights, strict=True) if weight > weights.max() - _NEGLIGIBLE]
+    ranges = [odds.scale_range(one) for one in likely]
+    least, most = min((low for low, _ in ranges), default=1.0), max((high for _, high in ranges), default=1.0)
+    within = [scale for scale in _SCALES if least <= scale <= most]
+    nearest = min(_SCALES, key=lambda scale: abs(np.log(scale**2 / (least * most))))
+    return tuple(sorted({*within, nearest}))
 
 
 def _ranked_by_chi_square(case: Case, table: HypothesisTable) -> Ranking:
@@ -195,6 +209,15 @@ class _Odds:
         degrees = np.array([sum(term[2] for term in one) for one in terms])
         evidence = log_scale_evidence(chi_square, degrees, self.model.scale_sd)
         return np.asarray(prior + evidence + self._log_overlaps(of_each))
+
+    def scale_range(self, pairs: Sequence[Labels]) -> tuple[float, float]:
+        """Between which factors the noise is, to three standard deviations, if these are the screws."""
+        terms = [self.of(labels) for labels in pairs]
+        degrees = float(sum(term[2] for term in terms))
+        middle = scale_mean(float(sum(term[1] for term in terms)), degrees, self.model.scale_sd)
+        # The logarithm of a noise from k residuals has a variance of 1 / (2 k).
+        sd = 1.0 / np.sqrt(self.model.scale_sd**-2 + 2.0 * degrees)
+        return float(middle * np.exp(-3.0 * sd)), float(middle * np.exp(3.0 * sd))
 
     def _log_overlaps(self, of_each: Sequence[Sequence[Labels]]) -> FloatArray:
         """What it costs that implants would stand in each other, the worst two of each assignment."""
