@@ -95,7 +95,8 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
     # Overlapping screws of one level: their marks nearly share epipolar lines, and the method says what it knows.
     one = found["epipolar"].answer
     assert pairing_is_right(one, truth) or one.pairing.status == "ambiguous"
-    assert found["default"].answer.combinations[0].probability >= one.combinations[0].probability
+    # Nor is it less sure for knowing the length; it only doubts the noise, which `epipolar` takes as it is given.
+    assert found["default"].answer.combinations[0].probability > 0.999
 
 
 def test_a_roll_that_cannot_be_seen_is_absent_and_said(
