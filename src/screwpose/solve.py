@@ -21,11 +21,12 @@ from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge, judged_ag
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
+from screwpose.pairing.image_evidence import log_odds_of_pairs
 from screwpose.pairing.plausibility import check_plausibility
-from screwpose.pairing.ranking import ranked_pairings
+from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
-from screwpose.registration import Progress, SearchOptions
+from screwpose.registration import Progress, Registered, SearchOptions
 
 Method = Literal["default", "paper", "epipolar"]
 """How the pairing is decided: `default` by the landmarks' chi-square with the CAD's length, `paper` by the Dice score
@@ -43,6 +44,8 @@ _FEW_SCREWS = 3
 # By the landmarks alone. A wrong combination's screws seldom explain the X-rays: to let them begin again in other ways
 # took half the time of a case, and of 72 development cases none was right with less than 0.4.
 _HOPELESS = 1e-9
+# Combinations of many screws that are more probable than this are registered too.
+_OPEN = 0.005
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class SolveOptions:
     noise : how exactly the landmarks were marked.
     faces : triangles that a model is reduced to for the searches; None for the CAD as it is.
     combinations : at most so many are placed and scored.
-    registered : at most so many of them are registered; all, where there are no more than 3 screws.
+    registered : so many of them are registered; all, where there are no more than 3 screws; and by thickness also each
+        that the landmarks leave open, with half a percent or more.
     refinement : how screws are registered; None: as in the paper for `paper` and `epipolar`, else by thickness.
     search : bounds, budget and seed of the evolution. No generations: whatever the refinement, nothing is registered.
     engine : how masks are drawn; None: as in the paper for `paper`, else the fast one.
@@ -121,7 +125,7 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     clock.lap("pairing")
 
     if options.search.generations > 0:
-        trials, excuses = _registered(case, evidence, trials, options, _within(tell, 0.2, 0.97))
+        trials, ranking, excuses = _registered(case, evidence, trials, ranking, options, _within(tell, 0.2, 0.97))
         warnings += excuses
     else:
         trials = sorted(trials, key=_ORDERS[options.method])
@@ -133,7 +137,6 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
         return refused(case, confidence.reasons, clock.read("judging"))
     if warnings and confidence.status == "confident":
         confidence = replace(confidence, status="ambiguous")
-    ranking = ranking.with_probabilities({trial.combination: trial.probability for trial in trials})
     why = why_open(case, options.noise, ranking) if confidence.probability < CONFIDENT_PROBABILITY else None
     if why is not None:
         confidence = replace(confidence, reasons=(*confidence.reasons, why))
@@ -169,21 +172,23 @@ def _promising(trials: list[Trial], options: SolveOptions) -> list[Trial]:
     """Those that are worth registering: all, where there are few screws."""
     few = all(len(trial.combination.hypotheses) <= _FEW_SCREWS for trial in trials)
     count = len(trials) if few else min(options.registered, len(trials))
+    if _refinement(options) == "thickness":  # they share most of their pairs, which are registered once
+        count = max(count, sum(trial.probability > _OPEN for trial in trials))
     return sorted(trials, key=_PROMISING[options.method])[:count]
 
 
 def _registered(
-    case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
-) -> tuple[list[Trial], list[str]]:
-    """The trials in the method's order, the most promising of them registered; and why it was not done as asked, if it
-    was not."""
+    case: Case, evidence: Evidence, trials: list[Trial], ranking: Ranking, options: SolveOptions, tell: Progress
+) -> tuple[list[Trial], Ranking, list[str]]:
+    """The trials in the method's order, the most promising of them registered; what is then known of all pairings; and
+    why it was not done as asked, if it was not."""
     if _refinement(options) == "evolution":
-        return _registered_by_evolution(evidence, trials, options, tell), []
+        return _registered_by_evolution(evidence, trials, options, tell), ranking, []
     try:
-        return _registered_by_thickness(case, evidence, trials, options, tell), []
+        return *_registered_by_thickness(case, evidence, trials, ranking, options, tell), []
     except MeshError as error:
         excuse = f"registered by silhouettes, since a model has no thickness: {error}"
-        return _registered_by_evolution(evidence, trials, options, tell), [excuse]
+        return _registered_by_evolution(evidence, trials, options, tell), ranking, [excuse]
 
 
 def _registered_by_evolution(
@@ -201,10 +206,10 @@ def _registered_by_evolution(
 
 
 def _registered_by_thickness(
-    case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
-) -> list[Trial]:
+    case: Case, evidence: Evidence, trials: list[Trial], ranking: Ranking, options: SolveOptions, tell: Progress
+) -> tuple[list[Trial], Ranking]:
     """The trials in the method's order: the most promising of them registered by thickness, all judged again by their
-    marks, and the first settled."""
+    marks and by what they explain, and the first settled; and the ranking, judged again."""
     promising = _promising(trials, options)
     centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
     thickness = prepare_thickness(case, np.mean(centers, axis=0))
@@ -233,10 +238,9 @@ def _registered_by_thickness(
         known.update(zip(first.combination.hypotheses, held, strict=True))
     done += in_threads(registered, range(len(done), len(promising)), together.give_up)
     done += [trial for trial in trials if trial not in promising]
-    marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in done]
-    again = judged_again(np.array([trial.probability for trial in done]), *np.array(marks).T)
-    judged = [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
+    judged, ranking = _judged_again(done, ranking)
     chosen, *others = sorted(judged, key=_ORDERS[options.method])
+    chosen = _without_open_pairs(evidence, chosen, ranking)
     assert chosen.found is not None
     assert chosen.quality is not None
     found, quality = settle_by_thickness(
@@ -251,7 +255,38 @@ def _registered_by_thickness(
     seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
     post = score(seen, chosen.combination, found.world_from_cad)
     # It stays the first, whatever its scores are now: the others were not settled, and are not to be compared with it.
-    return [replace(chosen, found=found, post=post, quality=quality), *others]
+    return [replace(chosen, found=found, post=post, quality=quality), *others], ranking
+
+
+def _judged_again(trials: list[Trial], ranking: Ranking) -> tuple[list[Trial], Ranking]:
+    """What is known of the trials, and of all pairings, once some are registered."""
+    marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in trials]
+    again = judged_again(np.array([trial.probability for trial in trials]), *np.array(marks).T)
+    ranking = ranking.with_probabilities(
+        {trial.combination: float(probability) for trial, probability in zip(trials, again, strict=True)}
+    )
+    seen = [(trial.combination.hypotheses, trial.quality.energies) for trial in trials if trial.quality]
+    ranking = ranking.weighed(log_odds_of_pairs(seen))
+    return [replace(trial, probability=ranking.probability_of(trial.combination)) for trial in trials], ranking
+
+
+def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> Trial:
+    """A combination without those of its pairs that are more probably none."""
+    best = ranking.combinations[int(np.argmax(ranking.probabilities))]
+    places = {hypothesis: index for index, hypothesis in enumerate(trial.combination.hypotheses)}
+    is_part = 0 < len(best.hypotheses) < len(places) and all(one in places for one in best.hypotheses)
+    assert trial.found is not None
+    assert trial.quality is not None
+    if not is_part or trial.quality.cameras is not None:
+        return trial
+    kept = [places[one] for one in best.hypotheses]
+    placed = tuple(trial.placed[index] for index in kept)
+    found = Registered(
+        tuple(trial.found.world_from_cad[index] for index in kept), tuple(trial.found.at_bound[index] for index in kept)
+    )
+    quality = replace(trial.quality, energies=tuple(trial.quality.energies[index] for index in kept))
+    pre, post = score(evidence, best, placed), score(evidence, best, found.world_from_cad)
+    return Trial(best, ranking.probability_of(best), placed, pre, found, post, quality)
 
 
 def _of_several(tell: Progress, index: int, count: int) -> Progress:
@@ -288,13 +323,17 @@ def _by_chi_square(trial: Trial) -> tuple[bool, float]:
     return trial.post is None, trial.combination.chi_square
 
 
+def _by_probability(trial: Trial) -> tuple[bool, float, float]:
+    return trial.post is None, -trial.probability, _by_chi_square(trial)[1]
+
+
 def _by_dice_after(trial: Trial) -> tuple[bool, float]:
     return trial.post is None, -(trial.pre if trial.post is None else trial.post).dice
 
 
 _FITS: dict[Method, Fit] = {"default": fit_segment, "paper": fit_segment, "epipolar": fit_epipolar}
-_ORDERS: dict[Method, Callable[[Trial], tuple[bool, float]]] = {
-    "default": _by_chi_square,
+_ORDERS: dict[Method, Callable[[Trial], tuple[bool, *tuple[float, ...]]]] = {
+    "default": _by_probability,
     "paper": _by_dice_after,
     "epipolar": _by_chi_square,
 }
