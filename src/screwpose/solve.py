@@ -1,6 +1,6 @@
 """The whole job: from a case to its result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field, replace
 from threading import Lock
 from time import perf_counter
@@ -26,7 +26,7 @@ from screwpose.pairing.plausibility import check_plausibility
 from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
-from screwpose.registration import Progress, Registered, SearchOptions
+from screwpose.registration import Progress, SearchOptions
 
 Method = Literal["default", "paper", "epipolar"]
 """How the pairing is decided: `default` by the landmarks' chi-square with the CAD's length, `paper` by the Dice score
@@ -209,7 +209,7 @@ def _registered_by_thickness(
     case: Case, evidence: Evidence, trials: list[Trial], ranking: Ranking, options: SolveOptions, tell: Progress
 ) -> tuple[list[Trial], Ranking]:
     """The trials in the method's order: the most promising of them registered by thickness, all judged again by their
-    marks and by what they explain, and the first settled; and the ranking, judged again."""
+    marks and by what they explain, the first of them settled; and the ranking, judged again."""
     promising = _promising(trials, options)
     centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
     thickness = prepare_thickness(case, np.mean(centers, axis=0))
@@ -237,41 +237,55 @@ def _registered_by_thickness(
         held = first.found.world_from_cad if first.quality.cameras is None else first.quality.cameras.held
         known.update(zip(first.combination.hypotheses, held, strict=True))
     done += in_threads(registered, range(len(done), len(promising)), together.give_up)
-    done += [trial for trial in trials if trial not in promising]
-    judged, ranking = _judged_again(done, ranking)
-    chosen, *others = sorted(judged, key=_ORDERS[options.method])
-    chosen = _without_open_pairs(evidence, chosen, ranking)
-    assert chosen.found is not None
-    assert chosen.quality is not None
-    found, quality = settle_by_thickness(
-        case,
-        thickness,
-        chosen.combination,
-        chosen.found,
-        options.noise,
-        _within(tell, 0.7, 1.0),
-        chosen.quality.cameras,
-    )
-    seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
-    post = score(seen, chosen.combination, found.world_from_cad)
-    # It stays the first, whatever its scores are now: the others were not settled, and are not to be compared with it.
-    return [replace(chosen, found=found, post=post, quality=quality), *others], ranking
+    ranking = _judged_by_marks([*done, *(trial for trial in trials if trial not in promising)], ranking)
+    within = _within(tell, 0.7, 1.0)
+
+    def settled(trial: Trial) -> Trial:
+        assert trial.found is not None
+        assert trial.quality is not None
+        found, quality = settle_by_thickness(
+            case, thickness, trial.combination, trial.found, options.noise, within, trial.quality.cameras
+        )
+        seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
+        return replace(trial, found=found, post=score(seen, trial.combination, found.world_from_cad), quality=quality)
+
+    # What is not settled explains too little to be held against it: so the first by the marks is settled, and whatever
+    # is then more probable.
+    chosen = min(done, key=_by_chi_square)
+    at_rest: dict[Combination, Trial] = {}
+    while chosen.combination not in at_rest:
+        at_rest[chosen.combination] = settled(chosen)
+        within = _tell_nobody  # that it goes on is told once; a second one is seldom
+        done = [at_rest.get(trial.combination, trial) for trial in done]
+        weighed = _weighed_by_images(done, ranking, at_rest)
+        chosen = max(done, key=lambda trial: weighed.probability_of(trial.combination))
+    others = [trial for trial in trials if trial not in promising] + [trial for trial in done if trial is not chosen]
+    others = [replace(trial, probability=weighed.probability_of(trial.combination)) for trial in others]
+    chosen = replace(chosen, probability=weighed.probability_of(chosen.combination))
+    return [_without_open_pairs(evidence, chosen, weighed), *sorted(others, key=_ORDERS[options.method])], weighed
 
 
-def _judged_again(trials: list[Trial], ranking: Ranking) -> tuple[list[Trial], Ranking]:
-    """What is known of the trials, and of all pairings, once some are registered."""
+def _judged_by_marks(trials: list[Trial], ranking: Ranking) -> Ranking:
+    """What is known of all pairings once the marks of some are seen beside their registered models."""
     marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in trials]
     again = judged_again(np.array([trial.probability for trial in trials]), *np.array(marks).T)
-    ranking = ranking.with_probabilities(
+    return ranking.with_probabilities(
         {trial.combination: float(probability) for trial, probability in zip(trials, again, strict=True)}
     )
-    seen = [(trial.combination.hypotheses, trial.quality.energies) for trial in trials if trial.quality]
-    ranking = ranking.weighed(log_odds_of_pairs(seen))
-    return [replace(trial, probability=ranking.probability_of(trial.combination)) for trial in trials], ranking
+
+
+def _weighed_by_images(trials: list[Trial], ranking: Ranking, at_rest: Container[Combination]) -> Ranking:
+    """The ranking with what the registered pairs explain; that of those not settled counts only in their favour."""
+    seen = [
+        (one.combination.hypotheses, one.quality.energies, one.combination in at_rest) for one in trials if one.quality
+    ]
+    settled = log_odds_of_pairs((pairs, energies) for pairs, energies, is_settled in seen if is_settled)
+    rough = log_odds_of_pairs((pairs, energies) for pairs, energies, is_settled in seen if not is_settled)
+    return ranking.weighed({pair: max(odds, 0.0) for pair, odds in rough.items()} | settled)
 
 
 def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> Trial:
-    """A combination without those of its pairs that are more probably none."""
+    """A registered combination without those of its pairs that are more probably none."""
     best = ranking.combinations[int(np.argmax(ranking.probabilities))]
     places = {hypothesis: index for index, hypothesis in enumerate(trial.combination.hypotheses)}
     is_part = 0 < len(best.hypotheses) < len(places) and all(one in places for one in best.hypotheses)
@@ -280,13 +294,9 @@ def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> T
     if not is_part or trial.quality.cameras is not None:
         return trial
     kept = [places[one] for one in best.hypotheses]
-    placed = tuple(trial.placed[index] for index in kept)
-    found = Registered(
-        tuple(trial.found.world_from_cad[index] for index in kept), tuple(trial.found.at_bound[index] for index in kept)
-    )
-    quality = replace(trial.quality, energies=tuple(trial.quality.energies[index] for index in kept))
+    placed, found = tuple(trial.placed[index] for index in kept), trial.found.of(kept)
     pre, post = score(evidence, best, placed), score(evidence, best, found.world_from_cad)
-    return Trial(best, ranking.probability_of(best), placed, pre, found, post, quality)
+    return Trial(best, ranking.probability_of(best), placed, pre, found, post, trial.quality.of(kept))
 
 
 def _of_several(tell: Progress, index: int, count: int) -> Progress:

@@ -84,6 +84,16 @@ class Quality:
     cameras: CamerasFit | None = None
     errors: tuple[ExpectedError, ...] = ()
 
+    def of(self, which: Sequence[int]) -> "Quality":
+        """What of it holds of some of the screws; the marks' chi-square stays that of all."""
+        rivals = [replace(one, index=which.index(one.index)) for one in self.rivals if one.index in which]
+        return replace(
+            self,
+            energies=tuple(self.energies[index] for index in which),
+            rivals=tuple(rivals),
+            errors=tuple(self.errors[index] for index in which) if self.errors else (),
+        )
+
 
 def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
     """Reduce the X-rays to every scale, and large models to what is needed.
