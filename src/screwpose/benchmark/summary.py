@@ -75,7 +75,7 @@ def _method_summary(one: MethodMeasures) -> MethodSummary:
         dice, loss = block(one.stages, f"{name}_dice"), block(one.stages, f"{name}_loss")
         return None if dice is None and loss is None else StageQuantiles(dice=dice, loss=loss)
 
-    coverage = {name: rate.value for name, rate in one.coverage.items()}
+    coverage = {name: rate.value for name, rate in one.coverage.items() if name in Coverage.model_fields}
     return MethodSummary(
         cases=one.cases,
         screws=one.screws,
