@@ -1,13 +1,15 @@
 """Why a pairing is open, and what would settle it: scenes in which one thing would."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from screwpose.pairing import LandmarkNoise, ranked_pairings
 from screwpose.pairing.advice import between, remedies, why_open
-from tests.pairing.scenes import camera, case_of, screws
+from screwpose.pairing.ranking import Ranking
+from tests.pairing.scenes import SCREW, camera, case_of, screws
 
 VIEWS = {"AP": camera(0.0), "LAT": camera(90.0)}
 NOISE = LandmarkNoise(2.0, 1.0)
@@ -37,6 +39,18 @@ def test_what_changes_nothing_is_said_to() -> None:
     words = why_open(case, NOISE, ranked_pairings(case, NOISE))
     assert words is not None
     assert re.search(r"no screw would lie more than 0\.[0-2] mm elsewhere", words)
+
+
+def test_a_pairing_whose_screws_are_of_other_models_moves_them() -> None:
+    """The other way round each screw would have to be of the other length: no two of them are the same screw."""
+    case = case_of(of_one_level([[0, 0, 0], [0, 0, 0]]), VIEWS)
+    best, other = ranked_pairings(case, NOISE).combinations[:2]
+    renamed = replace(other, hypotheses=tuple(replace(one, model="another") for one in other.hypotheses))
+    with_another = replace(case, implants={**case.implants, "another": SCREW})
+    words = why_open(with_another, NOISE, Ranking((best, renamed), np.array([0.6, 0.4]), 1.0))
+    assert words is not None
+    assert "may be the other way round" in words
+    assert "elsewhere" not in words
 
 
 def test_a_mark_that_may_be_another_s_is_named() -> None:

@@ -23,6 +23,7 @@ from screwpose.pairing.segments import fit_segments
 
 _KNOWN_LENGTH_SIGMA_MM = 0.2  # where the centre is marked at a point that the model has, and the length is its own
 _HARMLESS_MM = 0.5
+_ANOTHER_MM = 1e3  # to a screw of another model: further than any; not infinite, since all of them may be
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ def _moved_mm(best: Combination, other: Combination) -> float | None:
 
 def _apart_mm(one: Hypothesis, two: Hypothesis) -> float:
     if one.model != two.model:
-        return float("inf")
+        return _ANOTHER_MM
     tips, centers = one.fit.tip_mm - two.fit.tip_mm, one.fit.center_mm - two.fit.center_mm
     return float(max(np.linalg.norm(tips), np.linalg.norm(centers)))
 
