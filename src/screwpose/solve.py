@@ -1,6 +1,6 @@
 """The whole job: from a case to its result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from threading import Lock
 from time import perf_counter
@@ -22,7 +22,7 @@ from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
 from screwpose.pairing.plausibility import check_plausibility
-from screwpose.pairing.ranking import ranked_pairings
+from screwpose.pairing.ranking import held_combination, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
 from screwpose.registration import Progress, SearchOptions
@@ -45,6 +45,20 @@ _FEW_SCREWS = 3
 _HOPELESS = 1e-9
 
 
+@dataclass(frozen=True, eq=False)
+class HeldScrew:
+    """A screw of the pairing that a person holds to.
+
+    Parameters
+    ----------
+    labels : its label in each view that shows it.
+    world_from_cad : (4, 4), where its registration begins; None: on its landmarks.
+    """
+
+    labels: Mapping[str, str]
+    world_from_cad: FloatArray | None = None
+
+
 @dataclass(frozen=True)
 class SolveOptions:
     """What can be chosen; the defaults suit two screws on a laptop.
@@ -61,6 +75,7 @@ class SolveOptions:
     engine : how masks are drawn; None: as in the paper for `paper`, else the fast one.
     cameras : whether cameras are refined with the poses, in the registration by thickness: never, as the case's views
         say, or also where they say nothing.
+    held : the pairing of a person: it is the answer, and how likely it is stands in the result. None: the method's own.
     """
 
     method: Method = "default"
@@ -72,6 +87,7 @@ class SolveOptions:
     engine: Engine | None = None
     refinement: Refinement | None = None
     cameras: CameraMode = "given"
+    held: tuple[HeldScrew, ...] | None = None
 
 
 def solve(case: Case, options: SolveOptions | None = None, progress: Progress | None = None) -> Result:
@@ -91,6 +107,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     ------
     BehindSourceError
         A model, laid on its landmarks, reaches behind an X-ray source.
+    AnnotationError
+        A pairing is held to whose marks cannot be one screw, or are not in the case.
 
     References
     ----------
@@ -106,13 +124,21 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     table = HypothesisTable(case, options.noise, _FITS[options.method])
     ranking = ranked_pairings(case, options.noise, table, options.combinations)
     ranked = ranking.shown(options.combinations)
+    if options.held is not None:
+        held = held_combination(case, table, ranking, [one.labels for one in options.held])
+        ranked = [held, *(one for one in ranked if one is not held)]
     if errors_in(findings) or not ranked:
         reasons = [finding.within_file() for finding in findings] or ["no two marks can be one screw"]
         return refused(case, reasons, clock.read("pairing"))
 
     evidence = _gathered(case, options)
     placed = _placed(evidence, ranked, _within(tell, 0.02, 0.15))
+    if options.held is not None:
+        begun = {tuple(one.labels.items()): one.world_from_cad for one in options.held}
+        placed = [_begun(combination, poses, begun) for combination, poses in zip(ranked, placed, strict=True)]
     evidence = with_metal(evidence, case, list(zip(ranked, placed, strict=True)))
+    if options.held is not None:  # the others say which metal counts, as where nothing is held, and no more
+        ranked, placed = ranked[:1], placed[:1]
     trials = [
         Trial(combination, ranking.probability_of(combination), poses, score(evidence, combination, poses))
         for combination, poses in zip(ranked, placed, strict=True)
@@ -159,6 +185,14 @@ def _placed(evidence: Evidence, ranked: list[Combination], tell: Progress) -> li
         tell(index / len(different), f"placing screw {index + 1} of {len(different)} candidates")
         poses[hypothesis] = (place(evidence, hypothesis),)
     return [tuple(poses[hypothesis][0] for hypothesis in one.hypotheses) for one in ranked]
+
+
+def _begun(
+    combination: Combination, poses: Poses, begun: Mapping[tuple[tuple[str, str], ...], FloatArray | None]
+) -> Poses:
+    """The poses, those in their place that a person gave."""
+    given = [begun.get(hypothesis.labels) for hypothesis in combination.hypotheses]
+    return tuple(pose if own is None else own for pose, own in zip(poses, given, strict=True))
 
 
 def _refinement(options: SolveOptions) -> Refinement:

@@ -1,0 +1,352 @@
+"""Solve and review: the job, the combinations, the screws, and what lies over the X-rays."""
+
+from datetime import datetime
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from nicegui import events, ui
+
+from screwpose.workbench.panel_mark import window_controls
+from screwpose.workbench.side_file import Begun
+
+
+if TYPE_CHECKING:
+    from screwpose.workbench.page_case import CasePage
+
+_STATUS_ICONS = {"ok": "check_circle", "check": "help", "failed": "cancel", "confident": "check_circle", "ambiguous": "help", "refused": "cancel"}
+# What a key does to the chosen screw: `reviewing.nudge`'s move.
+_TURNS = {"r": ("roll", 1.0), "t": ("tilt", 0.2), "a": ("along", 0.1), "d": ("away", 0.1)}
+_ELLIPSE_PX = 14.0  # about how large an ellipse is drawn: an error of a hundredth of a mm is no pixel wide
+
+
+class ReviewPanel:
+    """The third stage."""
+
+    def __init__(self, page: "CasePage") -> None:
+        self._page = page
+        self._shown: int | None = None
+        self._before = False
+        self._layers: dict[str, Any] = {"opacity": 0.3, "outline": True, "blink": False, "difference": False, "marks": False, "ellipses": True, "mask": False}
+        self._poses: list[Any] | None = None
+        self._start: list[Any] | None = None
+        self._waiting: dict[str, Any] | None = None
+        self._busy = False
+
+    # ---- the page
+    def build(self) -> None:
+        """Make its elements."""
+        for view, viewer in self._page.viewers.items():
+            viewer.set(mode="pose", pairs=[], begun=None, selected=None, layers=dict(self._layers))
+            viewer.on("picked", self._picked)
+            viewer.on("nudged", partial(self._nudged, view))
+            viewer.on("turned", partial(self._turned, view))
+            viewer.on("stepped", self._stepped)
+        self._job = ui.element("div").classes("job")
+        self._answer = ui.element("div").classes("answer")
+        with ui.expansion("Overlay", icon="layers", value=False).classes("wide layers").props("dense"):
+            with ui.row().classes("tools"):
+                for key, words in (("outline", "Outline"), ("blink", "Blink"), ("difference", "Difference"), ("marks", "Marks"), ("ellipses", "Sigma"), ("mask", "Mask")):
+                    ui.checkbox(words, value=self._layers[key], on_change=partial(self._layer, key)).props("dense")
+                ui.checkbox("Before registration", value=self._before, on_change=self._stage).props("dense")
+            with ui.row().classes("tools nowrap"):
+                ui.label("Opacity").classes("small")
+                ui.slider(min=0, max=1, step=0.05, value=self._layers["opacity"], on_change=partial(self._layer, "opacity")).props('aria-label="Opacity of the overlay"')
+            window_controls(self._page)
+        self._screws = ui.element("div").classes("screws")
+        self._table = ui.element("div").classes("combinations")
+        self._more = ui.element("div").classes("more")
+        self._timer = ui.timer(0.25, self._tick)
+        self._seen: Any = None
+
+    def refresh(self) -> None:
+        """Show the result as it is now."""
+        self._show_job()
+        data = self._page.session.reviewed
+        stamp = (id(data), self._page.may_edit, self._page.session.is_stale, self._page.screw, self._shown, self._page.session.store.side)
+        if data is not None and stamp != self._seen:
+            if self._seen is None or self._seen[0] != stamp[0]:
+                self._poses, self._shown = None, None
+            self._seen = stamp
+            self._show_answer(data)
+            self._show_screws(data)
+            self._show_table(data)
+        self._overlay()
+
+    def _tick(self) -> None:
+        job = self._page.session.job
+        if job is not None and (job.is_open or self._was_open):
+            self._show_job()
+        self._was_open = job is not None and job.is_open
+
+    _was_open = False
+
+    # ---- the job
+    def _show_job(self) -> None:
+        session, page = self._page.session, self._page
+        job = session.job
+        self._job.clear()
+        with self._job:
+            if job is not None and job.is_open:
+                left = job.left_s
+                with ui.element("section").classes("card running").props('role="status"'):
+                    ui.label("Solving" if job.state == "running" else "In the queue").classes("heading")
+                    ui.linear_progress(value=round(job.fraction, 3), show_value=False).props('aria-label="Progress"')
+                    ui.label(job.what[:1].upper() + job.what[1:]).classes("small")
+                    ui.label("" if left is None else f"about {left:.0f} s left").classes("muted small")
+                    ui.button("Cancel", on_click=session.cancel).props("outline no-caps dense").set_enabled(page.may_edit)
+                return
+            if job is not None and job.state == "failed":
+                ui.label(f"The solve failed: {job.problem}").classes("problem").props('role="alert"')
+            if job is not None and job.state == "cancelled":
+                ui.label("The solve was cancelled; what was found before stays.").classes("muted").props('role="status"')
+            interrupted = session.store.side.job
+            if interrupted is not None and (job is None or not job.is_open):
+                with ui.element("section").classes("card running").props('role="alert"'):
+                    ui.label("A solve was interrupted").classes("heading")
+                    ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
+                    with ui.row().classes("actions"):
+                        ui.button("Solve again", on_click=lambda: session.solve(interrupted)).props("no-caps dense").set_enabled(page.may_edit)
+                        ui.button("Leave it", on_click=lambda: session.change_side(job=None)).props("flat no-caps dense").set_enabled(page.may_edit)
+                return
+            if not session.is_solved or session.is_stale:
+                ready = bool(session.known.get("is_ready")) and page.may_edit
+                words = "The case was changed since it was solved." if session.is_solved else "Not solved yet."
+                ui.label(words).classes("stale" if session.is_solved else "muted")
+                ui.button("Solve again" if session.is_solved else "Solve", on_click=lambda: session.solve(Begun())).props("no-caps").classes("wide").set_enabled(ready)
+
+    # ---- the answer
+    def _show_answer(self, data: dict[str, Any]) -> None:
+        choice = self._page.session.store.side.choice
+        self._answer.clear()
+        with self._answer, ui.element("section").classes(f"card status {data['status']}"):
+            with ui.row().classes("card-head"):
+                ui.icon(_STATUS_ICONS[data["status"]])
+                ui.label(data["status"].capitalize()).classes("heading grow")
+                if data["probability"] is not None:
+                    ui.label(f"pairing {100 * data['probability']:.1f} %").classes("small")
+            ui.label(data["meaning"]).classes("small")
+            if choice is not None:
+                ui.label(f"The pairing is yours, not the solver's ({choice.when}): {choice.reason}").classes("small strong")
+            for warning in data["warnings"]:
+                ui.label(warning[:1].upper() + warning[1:]).classes("warning small")
+
+    def _show_screws(self, data: dict[str, Any]) -> None:
+        self._screws.clear()
+        with self._screws:
+            if data["screws"]:
+                ui.label("Screws").classes("group")
+            for index, screw in enumerate(data["screws"]):
+                on = index == self._page.screw
+                with ui.element("button").classes(f"screw {'on' if on else ''}").props(f'type="button" aria-pressed={"true" if on else "false"}').on("click", partial(self._choose_screw, index)):
+                    with ui.row().classes("card-head"):
+                        ui.element("span").classes("swatch").style(f"background:{screw['color']}")
+                        ui.label(screw["name"]).classes("strong grow")
+                        ui.icon(_STATUS_ICONS[screw["status"]]).classes(screw["status"])
+                        ui.label(screw["words"]).classes("small")
+                    ui.label(f"Expected error: {screw['sigma']}" if screw["sigma"] else "Expected error: not estimated").classes("muted small")
+                    for doubt in screw["doubts"]:
+                        ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
+            self._hand()
+
+    def _hand(self) -> None:
+        """What can be done by hand with the chosen screw."""
+        page, session = self._page, self._page.session
+        if page.screw is None or not page.may_edit:
+            return
+        with ui.element("div").classes("hand"):
+            ui.label("Drag the screw in a view, or use the keys (press ?).").classes("muted small")
+            self._live = ui.label(self._live_words()).classes("live").props('role="status"')
+            with ui.row().classes("actions"):
+                ui.button("Refine from here", on_click=self._refine).props("no-caps dense").set_enabled(bool(session.store.side.by_hand))
+                ui.button("Back to the result", on_click=self._reset).props("flat no-caps dense").set_enabled(bool(session.store.side.by_hand))
+
+    def _live_words(self) -> str:
+        live = self._page.session.live
+        if live is None:
+            return ""
+        views = ", ".join(f"{name} {one['dice']:.3f} / {one['loss']:.3f}" for name, one in live["views"].items())
+        return f"By hand: Dice {live['dice']:.3f}, loss {live['loss']:.3f} ({views})"
+
+    def _show_table(self, data: dict[str, Any]) -> None:
+        choice = self._page.session.store.side.choice
+        keys = [one["key"] for one in data["columns"]]
+        self._table.clear()
+        with self._table:
+            if not data["combinations"]:
+                return
+            ui.label("Combinations").classes("group")
+            with ui.element("table").props('aria-label="Combinations"'):
+                with ui.element("thead"), ui.element("tr"):
+                    for words in ("", "Pairs", "Prob.", "Dice", "Loss", *([f"{v} loss" for v in self._page.viewers]), ""):
+                        with ui.element("th").props("scope=col"):
+                            ui.label(words)
+                for one in data["combinations"]:
+                    self._rows_of(data, one, dict(zip(keys, one["cells"], strict=True)), choice)
+
+    def _rows_of(self, data: dict[str, Any], one: dict[str, Any], cells: dict[str, str], choice: Any) -> None:
+        chosen = one["id"] == data["chosen"]
+        shown = one["id"] == (self._shown or data["chosen"])
+        with ui.element("tbody").classes(f"{'chosen' if chosen else ''} {'shown' if shown else ''}"):
+            for stage, words in (("pre", "before"), ("post", "after")):
+                with ui.element("tr"):
+                    if stage == "pre":
+                        with ui.element("td").props("rowspan=2"):
+                            ui.radio({one["id"]: ""}, value=one["id"] if shown else None, on_change=partial(self._show, one["id"])).props(f'dense aria-label="Show combination {one["id"]}"')
+                        with ui.element("td").props("rowspan=2"):
+                            for pair in one["pairs"]:
+                                ui.label(" = ".join(pair.values())).classes("pair-words")
+                        with ui.element("td").props("rowspan=2"):
+                            ui.label(cells.get("probability", "-"))
+                    for key in ("dice", "loss", *(f"loss_{view}" for view in self._page.viewers)):
+                        with ui.element("td").classes("number"):
+                            ui.label(cells.get(f"{stage}_{key}", "-")).props(f'title="{words} registration"')
+                    if stage == "pre":
+                        with ui.element("td").props("rowspan=2"):
+                            if chosen:
+                                ui.label("yours" if choice else "chosen").classes("badge")
+                            elif self._page.may_edit:
+                                ui.button("Choose", on_click=partial(self._ask_reason, one["id"])).props("outline dense no-caps").mark(f"choose-{one['id']}")
+
+    # ---- choosing
+    def _ask_reason(self, number: int) -> None:
+        data = self._page.session.reviewed
+        assert data is not None
+        with ui.dialog(value=True) as dialog, ui.card().classes("dialog"):
+            ui.label(f"Choose combination {number}").classes("heading")
+            ui.label("It is registered anew, and kept as your choice. Why is it right?").classes("muted small")
+            reason = ui.input("Reason").props("outlined autofocus maxlength=500").classes("wide").mark("reason")
+
+            def choose() -> None:
+                words = str(reason.value or "").strip()
+                if not words:
+                    ui.notify("A word of reason is needed: others will read the result.", type="negative")
+                    return
+                dialog.close()
+                self._page.session.choose(number, words, f"{datetime.now().astimezone():%Y-%m-%d %H:%M}")
+
+            reason.on("keydown.enter", choose)
+            with ui.row().classes("actions"):
+                ui.button("Cancel", on_click=dialog.close).props("flat no-caps")
+                ui.button("Choose it", on_click=choose).props("no-caps")
+
+    def _show(self, number: int) -> None:
+        self._shown = number
+        self.refresh()
+
+    def _choose_screw(self, index: int) -> None:
+        self._page.screw = None if self._page.screw == index else index
+        self.refresh()
+
+    def _picked(self, event: events.GenericEventArguments) -> None:
+        data = self._page.session.reviewed or {"screws": []}
+        names = [one["name"] for one in data["screws"]]
+        if event.args["name"] in names:
+            self._page.screw = names.index(event.args["name"])
+            self.refresh()
+
+    def _stepped(self, event: events.GenericEventArguments) -> None:
+        count = len((self._page.session.reviewed or {"screws": []})["screws"])
+        if count:
+            now = -1 if self._page.screw is None else self._page.screw
+            self._page.screw = (now + int(event.args["by"])) % count
+            self.refresh()
+
+    # ---- what lies over the X-rays
+    def _overlay(self) -> None:
+        session, page = self._page.session, self._page
+        data = session.reviewed
+        if data is None:
+            return
+        number = self._shown or data["chosen"]
+        is_answer = number == data["chosen"] and not self._before
+        name = None if page.screw is None or page.screw >= len(data["screws"]) else data["screws"][page.screw]["name"]
+        for view, viewer in page.viewers.items():
+            shadows = data["shadows"].get(f"{number}-{'pre' if self._before else 'post'}-{view}", data["shadows"].get(f"{number}-pre-{view}", []))
+            if is_answer and session.live is not None:
+                shadows = session.live["shadows"][view]
+            ellipses = [] if not is_answer or session.live else [_ellipse(one, view, shadows) for one in data["screws"]]
+            viewer.set(
+                outlines=[{key: one[key] for key in ("name", "color", "dash", "paths")} for one in shadows],
+                metal=data["metal"].get(view, []),
+                ellipses=[one for one in ellipses if one],
+                marks=[{**{k: one[k] for k in ("label", "tip", "center")}, "color": "#ffffff"} for one in session.store.draft["annotations"].get(view, [])],
+                selected=name,
+                layers=dict(self._layers),
+            )  # fmt: skip
+
+    def _layer(self, key: str, event: events.ValueChangeEventArguments) -> None:
+        self._layers[key] = event.value
+        self._overlay()
+
+    def _stage(self, event: events.ValueChangeEventArguments) -> None:
+        self._before = bool(event.value)
+        self._overlay()
+
+    # ---- by hand
+    async def _nudged(self, view: str, event: events.GenericEventArguments) -> None:
+        data = self._page.session.reviewed
+        if data is None:
+            return
+        self._picked(event)
+        move = {"u": float(event.args["u"]), "v": float(event.args["v"])}
+        await self._move(view, move, bool(event.args["done"]))
+
+    async def _turned(self, view: str, event: events.GenericEventArguments) -> None:
+        key, step = _TURNS[str(event.args["key"])]
+        await self._move(view, {key: -step if event.args["back"] else step}, True)
+
+    async def _move(self, view: str, move: dict[str, float], done: bool) -> None:
+        """Move the chosen screw from where the hand took it up; while one move is computed only the last one waits."""
+        session, page = self._page.session, self._page
+        if session.reviewed is None or page.screw is None or not page.may_edit:
+            return
+        self._waiting = {"view": view, "move": move, "done": done}
+        if self._busy:
+            return
+        self._busy = True
+        try:
+            while self._waiting is not None:
+                asked, self._waiting = self._waiting, None
+                start = self._start or self._now()
+                self._start = start
+                moved = await session.ask("nudge", poses=start, index=page.screw, view=asked["view"], move=asked["move"])
+                if asked["done"]:
+                    self._start = None
+                if moved is None:
+                    continue
+                session.live = moved
+                self._overlay()
+                if asked["done"]:
+                    session.put_by_hand(moved["poses"])
+                elif getattr(self, "_live", None) is not None:
+                    self._live.set_text(self._live_words())
+        finally:
+            self._busy = False
+
+    def _now(self) -> list[Any]:
+        session = self._page.session
+        assert session.reviewed is not None
+        if session.live is not None:
+            return list(session.live["poses"])
+        held = {tuple(sorted(one.labels.items())): one.world_from_cad for one in session.store.side.by_hand}
+        return [held.get(tuple(sorted(one["labels"].items())), one["world_from_cad"]) for one in session.reviewed["screws"]]
+
+    def _refine(self) -> None:
+        self._page.session.refine_from_here()
+
+    def _reset(self) -> None:
+        self._page.session.live = None
+        self._page.session.change_side(by_hand=())
+
+
+def _ellipse(screw: dict[str, Any], view: str, shadows: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """A tip's ellipse where its model's tip is seen, enlarged until it can be."""
+    path = screw["ellipses"].get(view)
+    tip = next((one["tip"] for one in shadows if one["name"] == screw["name"]), None)
+    if not path or tip is None:
+        return None
+    largest = max(abs(x) for x in path) or 1.0
+    times = next((n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if n * largest >= _ELLIPSE_PX), 1000)
+    return {"path": path, "at": tip, "times": times, "color": screw["color"]}
+
+
