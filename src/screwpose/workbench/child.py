@@ -29,6 +29,8 @@ def answer(line: str, out: IO[str]) -> None:
     try:
         value = TASKS[asked["task"]](lambda fraction, what: say({"progress": [fraction, what]}), **asked["arguments"])
         say({"value": value})
+    except BrokenPipeError:
+        raise
     except ScrewposeError as error:
         say({"error": str(error)})
     except MemoryError:
@@ -45,8 +47,11 @@ def main() -> None:
         os.setsid()
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what a library prints is no answer
-    for line in sys.stdin:
-        answer(line, out)
+    try:
+        for line in sys.stdin:
+            answer(line, out)
+    except BrokenPipeError:
+        os._exit(0)  # the other end is gone: nobody is left to tell, and closing the pipe would say so again
 
 
 if __name__ == "__main__":

@@ -35,6 +35,13 @@ class ImagesPanel:
             with ui.element("section").classes("card dropping"):
                 uploader(self._page.sessions, self._take, "Drop X-rays, calibrations and CAD models here")
             self._cards = ui.element("div").classes("cards")
+            # What is made anew while a hand is on its way to it is missed: what is always there stays.
+            with ui.element("section").classes("card next"):
+                ui.label("Case").classes("heading")
+                self._rest = ui.element("div")
+                self._hint = ui.label().classes("muted")
+                self._on = ui.button("Mark the screws", on_click=partial(self._page.go, "mark")).props("no-caps")
+        self._shown: Any = None
         self._dialog = _CalibrationDialog(self._page)
 
     async def _take(self, files: list[Uploaded]) -> None:
@@ -47,6 +54,19 @@ class ImagesPanel:
         """Show the case as it is now."""
         session = self._page.session
         findings = session.known.get("findings", [])
+        has_all = len(session.known.get("views", {})) > 1 and any(
+            "mesh" in one for one in session.store.draft["models"].values()
+        )
+        self._on.set_enabled(has_all)
+        self._hint.set_text(
+            "Next: mark each screw's tip and centre in both X-rays."
+            if has_all
+            else "A case needs two X-rays, a calibration for each, and a CAD model."
+        )
+        shown = (session.store.draft, session.known, list(session.told_of_files), self._page.may_edit)
+        if shown == self._shown:
+            return
+        self._shown = shown
         self._cards.clear()
         with self._cards:
             for problem in session.told_of_files:
@@ -56,18 +76,10 @@ class ImagesPanel:
                 if view in session.store.draft["views"] or len(session.store.draft["views"]) < 2:
                     self._view_card(view, [one for one in findings if _is_about(one, f"views.{view}")])
             self._models_card([one for one in findings if one["field"].startswith("models")])
-            views = tuple(f"views.{view}" for view in session.store.draft["views"])
-            rest = [one for one in findings if not any(_is_about(one, own) for own in (*views, "models", "annotations"))]
-            with ui.element("section").classes("card next"):
-                ui.label("Case").classes("heading")
-                notes(rest)
-                has_all = bool(session.known.get("views")) and bool(session.store.draft["models"])
-                ui.label(
-                    "Next: mark each screw's tip and centre in both X-rays."
-                    if has_all
-                    else "A case needs two X-rays, a calibration for each, and a CAD model."
-                ).classes("muted")
-                ui.button("Mark the screws", on_click=partial(self._page.go, "mark")).props("no-caps").set_enabled(has_all)
+        self._rest.clear()
+        with self._rest:
+            own = (*(f"views.{view}" for view in session.store.draft["views"]), "models", "annotations")
+            notes([one for one in findings if not any(_is_about(one, field) for field in own)])
 
     def _view_card(self, view: str, findings: list[dict[str, str]]) -> None:
         session = self._page.session

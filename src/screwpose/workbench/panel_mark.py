@@ -43,7 +43,10 @@ class MarkPanel:
             self._erase = ui.switch("Counts again", on_change=self._mode).props("dense")
         self._brush = ui.slider(min=4, max=120, value=24, on_change=self._mode).props('label aria-label="Brush, px"')
         self._list = ui.element("div").classes("lists")
-        self._next = ui.element("div").classes("next")
+        with ui.element("div").classes("next"):
+            self._solve_button = ui.button("Solve", on_click=self._solve).props("no-caps").classes("wide")
+            self._mend = ui.label().classes("muted small")
+        self._shown: Any = None
 
     def refresh(self) -> None:
         """Show the case as it is now."""
@@ -90,6 +93,10 @@ class MarkPanel:
         session, page = self._page.session, self._page
         findings = session.known.get("findings", [])
         models = list(session.store.draft["models"])
+        shown = (session.store.draft, session.known, dict(page.selected), page.may_edit)
+        if shown == self._shown:
+            return
+        self._shown = shown
         self._list.clear()
         with self._list:
             for view in session.store.draft["views"]:
@@ -120,14 +127,11 @@ class MarkPanel:
                 notes(about)
 
     def _show_next(self) -> None:
-        session, page = self._page.session, self._page
-        self._next.clear()
-        with self._next:
-            ready = bool(session.known.get("is_ready")) and page.may_edit
-            errors = [one for one in session.known.get("findings", []) if one["level"] == "error"]
-            ui.button("Solve", on_click=self._solve).props("no-caps").classes("wide").set_enabled(ready)
-            if errors and not ready:
-                ui.label(f"{len(errors)} error{'' if len(errors) == 1 else 's'} to mend before solving.").classes("muted small")
+        session = self._page.session
+        ready = bool(session.known.get("is_ready")) and self._page.may_edit
+        errors = sum(one["level"] == "error" for one in session.known.get("findings", []))
+        self._solve_button.set_enabled(ready)
+        self._mend.set_text(f"{errors} error{'' if errors == 1 else 's'} to mend before solving." if errors else "")
 
     def _solve(self) -> None:
         self._page.session.solve(Begun())

@@ -53,16 +53,18 @@ class ReviewPanel:
                 ui.slider(min=0, max=1, step=0.05, value=self._layers["opacity"], on_change=partial(self._layer, "opacity")).props('aria-label="Opacity of the overlay"')
             window_controls(self._page)
         self._screws = ui.element("div").classes("screws")
+        self._build_hand()
         self._table = ui.element("div").classes("combinations")
         self._more = ui.element("div").classes("more")
         self._timer = ui.timer(0.25, self._tick)
         self._seen: Any = None
+        self._job_kind: Any = None
 
     def refresh(self) -> None:
         """Show the result as it is now."""
         self._show_job()
         data = self._page.session.reviewed
-        stamp = (id(data), self._page.may_edit, self._page.session.is_stale, self._page.screw, self._shown, self._page.session.store.side)
+        stamp = (id(data), self._page.may_edit, self._page.session.is_stale, self._page.screw, self._shown, self._page.session.store.side.choice)
         if data is not None and stamp != self._seen:
             if self._seen is None or self._seen[0] != stamp[0]:
                 self._poses, self._shown = None, None
@@ -70,49 +72,63 @@ class ReviewPanel:
             self._show_answer(data)
             self._show_screws(data)
             self._show_table(data)
+        self._show_hand()
         self._overlay()
 
     def _tick(self) -> None:
-        job = self._page.session.job
-        if job is not None and (job.is_open or self._was_open):
+        if self._page.session.job is not None:
             self._show_job()
-        self._was_open = job is not None and job.is_open
-
-    _was_open = False
 
     # ---- the job
     def _show_job(self) -> None:
+        """The part about solving: built anew where what it says changes in kind, else only moved on."""
         session, page = self._page.session, self._page
         job = session.job
-        self._job.clear()
-        with self._job:
-            if job is not None and job.is_open:
-                left = job.left_s
-                with ui.element("section").classes("card running").props('role="status"'):
-                    ui.label("Solving" if job.state == "running" else "In the queue").classes("heading")
-                    ui.linear_progress(value=round(job.fraction, 3), show_value=False).props('aria-label="Progress"')
-                    ui.label(job.what[:1].upper() + job.what[1:]).classes("small")
-                    ui.label("" if left is None else f"about {left:.0f} s left").classes("muted small")
-                    ui.button("Cancel", on_click=session.cancel).props("outline no-caps dense").set_enabled(page.may_edit)
-                return
-            if job is not None and job.state == "failed":
-                ui.label(f"The solve failed: {job.problem}").classes("problem").props('role="alert"')
-            if job is not None and job.state == "cancelled":
-                ui.label("The solve was cancelled; what was found before stays.").classes("muted").props('role="status"')
-            interrupted = session.store.side.job
-            if interrupted is not None and (job is None or not job.is_open):
-                with ui.element("section").classes("card running").props('role="alert"'):
-                    ui.label("A solve was interrupted").classes("heading")
-                    ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
-                    with ui.row().classes("actions"):
-                        ui.button("Solve again", on_click=lambda: session.solve(interrupted)).props("no-caps dense").set_enabled(page.may_edit)
-                        ui.button("Leave it", on_click=lambda: session.change_side(job=None)).props("flat no-caps dense").set_enabled(page.may_edit)
-                return
-            if not session.is_solved or session.is_stale:
-                ready = bool(session.known.get("is_ready")) and page.may_edit
-                words = "The case was changed since it was solved." if session.is_solved else "Not solved yet."
-                ui.label(words).classes("stale" if session.is_solved else "muted")
-                ui.button("Solve again" if session.is_solved else "Solve", on_click=lambda: session.solve(Begun())).props("no-caps").classes("wide").set_enabled(ready)
+        ready = bool(session.known.get("is_ready")) and page.may_edit
+        kind = (
+            None if job is None else job.state, ready, page.may_edit, session.is_solved, session.is_stale,
+            session.store.side.job is not None,
+        )  # fmt: skip
+        if kind != self._job_kind:
+            self._job_kind = kind
+            self._job.clear()
+            with self._job:
+                self._build_job(ready)
+        if job is not None and job.is_open:
+            left = job.left_s
+            self._bar.set_value(round(job.fraction, 3))
+            self._what.set_text(job.what[:1].upper() + job.what[1:])
+            self._left.set_text("" if left is None else f"about {max(left, 1.0):.0f} s left")
+
+    def _build_job(self, ready: bool) -> None:
+        session, page = self._page.session, self._page
+        job, interrupted = session.job, session.store.side.job
+        if job is not None and job.is_open:
+            with ui.element("section").classes("card running").props('role="status"'):
+                ui.label("Solving" if job.state == "running" else "In the queue").classes("heading")
+                self._bar = ui.linear_progress(value=0.0, show_value=False).props('aria-label="Progress"')
+                self._what = ui.label().classes("small")
+                self._left = ui.label().classes("muted small")
+                ui.button("Cancel", on_click=session.cancel).props("outline no-caps dense").set_enabled(page.may_edit)
+            return
+        if job is not None and job.state == "failed":
+            ui.label(f"The solve failed: {job.problem}").classes("problem").props('role="alert"')
+        if job is not None and job.state == "cancelled":
+            ui.label("The solve was cancelled; what was found before stays.").classes("muted").props('role="status"')
+        if interrupted is not None:
+            with ui.element("section").classes("card running").props('role="alert"'):
+                ui.label("A solve was interrupted").classes("heading")
+                ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
+                with ui.row().classes("actions"):
+                    again = ui.button("Solve again", on_click=lambda: session.solve(interrupted)).props("no-caps dense")
+                    leave = ui.button("Leave it", on_click=lambda: session.change_side(job=None)).props("flat no-caps dense")
+                    again.set_enabled(page.may_edit)
+                    leave.set_enabled(page.may_edit)
+        elif not session.is_solved or session.is_stale:
+            words = "The case was changed since it was solved." if session.is_solved else "Not solved yet."
+            ui.label(words).classes("stale" if session.is_solved else "muted")
+            name = "Solve again" if session.is_solved else "Solve"
+            ui.button(name, on_click=lambda: session.solve(Begun())).props("no-caps").classes("wide").set_enabled(ready)
 
     # ---- the answer
     def _show_answer(self, data: dict[str, Any]) -> None:
@@ -146,19 +162,22 @@ class ReviewPanel:
                     ui.label(f"Expected error: {screw['sigma']}" if screw["sigma"] else "Expected error: not estimated").classes("muted small")
                     for doubt in screw["doubts"]:
                         ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
-            self._hand()
 
-    def _hand(self) -> None:
+    def _build_hand(self) -> None:
         """What can be done by hand with the chosen screw."""
-        page, session = self._page, self._page.session
-        if page.screw is None or not page.may_edit:
-            return
-        with ui.element("div").classes("hand"):
+        with ui.element("div").classes("hand") as self._hand:
             ui.label("Drag the screw in a view, or use the keys (press ?).").classes("muted small")
-            self._live = ui.label(self._live_words()).classes("live").props('role="status"')
+            self._live = ui.label().classes("live").props('role="status"')
             with ui.row().classes("actions"):
-                ui.button("Refine from here", on_click=self._refine).props("no-caps dense").set_enabled(bool(session.store.side.by_hand))
-                ui.button("Back to the result", on_click=self._reset).props("flat no-caps dense").set_enabled(bool(session.store.side.by_hand))
+                self._refine_button = ui.button("Refine from here", on_click=self._refine).props("no-caps dense")
+                self._reset_button = ui.button("Back to the result", on_click=self._reset).props("flat no-caps dense")
+
+    def _show_hand(self) -> None:
+        page = self._page
+        self._hand.set_visibility(page.screw is not None and page.may_edit and page.session.reviewed is not None)
+        self._live.set_text(self._live_words())
+        for button in (self._refine_button, self._reset_button):
+            button.set_enabled(bool(page.session.store.side.by_hand))
 
     def _live_words(self) -> str:
         live = self._page.session.live
@@ -174,7 +193,7 @@ class ReviewPanel:
         with self._table:
             if not data["combinations"]:
                 return
-            ui.label("Combinations").classes("group")
+            ui.label("Combinations (upper line before, lower line after registration)").classes("group")
             with ui.element("table").props('aria-label="Combinations"'):
                 with ui.element("thead"), ui.element("tr"):
                     for words in ("", "Pairs", "Prob.", "Dice", "Loss", *([f"{v} loss" for v in self._page.viewers]), ""):
@@ -318,7 +337,7 @@ class ReviewPanel:
                 self._overlay()
                 if asked["done"]:
                     session.put_by_hand(moved["poses"])
-                elif getattr(self, "_live", None) is not None:
+                else:
                     self._live.set_text(self._live_words())
         finally:
             self._busy = False

@@ -69,16 +69,15 @@ class SpacePanel:
     def _carm(self, scene: ui.scene, view: dict[str, Any]) -> None:
         """A source, the rays to the corners of its image, and the image on their plane."""
         facts = self._page.session.known.get("views", {}).get(view["name"])
-        source, corners = view["source"], view["corners"]
+        plane = _whole_plane(view)
+        source, corners = view["source"], [plane[0][0], plane[0][1], plane[1][1], plane[1][0]]
         for index, corner in enumerate(corners):
             scene.line(source, corner).material(_LINE, opacity=0.35)
             scene.line(corner, corners[(index + 1) % 4]).material(_LINE)
         scene.sphere(4.0).move(*source).material(_LINE)
         scene.text(view["name"], "color: #8fd3ff; font-weight: 600").move(*corners[0])
         if facts is not None:
-            # The corners go round; a texture wants its rows from the top, and the picture is of the whole image.
-            whole = _whole_plane(view)
-            scene.texture(f"/preview/{facts['key']}", whole).material(None, opacity=0.9, side="both").with_name(f"view:{view['name']}")
+            scene.texture(f"/preview/{facts['key']}", plane).material("#ffffff", opacity=1.0, side="both").with_name(f"view:{view['name']}")
 
     def _clicked(self, event: events.SceneClickEventArguments) -> None:
         data = self._page.session.reviewed or {"screws": []}

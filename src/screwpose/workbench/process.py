@@ -33,6 +33,7 @@ class Child:
         self._memory = memory_bytes
         self._process: asyncio.subprocess.Process | None = None
         self._turn = asyncio.Lock()
+        self._killed: list[asyncio.subprocess.Process] = []
         self.is_ended = False
 
     async def ask(self, task: str, arguments: dict[str, Any], told: Told | None = None, quiet_s: float = _QUIET_S) -> Any:
@@ -89,6 +90,12 @@ class Child:
         self.is_ended = True
         self._kill()
 
+    async def gone(self) -> None:
+        """Wait until what was ended is no more: a loop must not close before it has noticed."""
+        while self._killed:
+            await self._killed.pop().wait()
+        await asyncio.sleep(0)
+
     async def _started(self) -> asyncio.subprocess.Process:
         if self._process is None or self._process.returncode is not None:
             self._process = await asyncio.create_subprocess_exec(
@@ -102,3 +109,6 @@ class Child:
         if process is not None and process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 process.kill()
+            if process.stdin is not None:
+                process.stdin.close()
+            self._killed = [*(one for one in self._killed if one.returncode is None), process]

@@ -1,6 +1,7 @@
 """The server: a socket on this machine, the guard before it, files for the pages, and the pages."""
 
 import asyncio
+import contextlib
 import secrets
 import socket
 import threading
@@ -68,7 +69,8 @@ def serve(path: Path | None, host: str = "127.0.0.1", port: int = 0, opens_brows
         guarded, log_level="warning", ws_max_size=_LONGEST_MESSAGE, timeout_graceful_shutdown=2, server_header=False
     )
     server = _Telling(config, address, opens_browser)
-    asyncio.run(server.serve(sockets=[listening]))
+    with contextlib.suppress(KeyboardInterrupt):  # is how it is ended
+        asyncio.run(server.serve(sockets=[listening]))
 
 
 class _Telling(uvicorn.Server):

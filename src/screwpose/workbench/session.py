@@ -164,7 +164,8 @@ class Session:
         async with self.queue:
             if job.state != "waiting":
                 return
-            job.state, job.began, job.child = "running", time.perf_counter(), Child(SOLVER_BYTES)
+            job.state, job.what = "running", "starting"
+            job.began, job.child = time.perf_counter(), Child(SOLVER_BYTES)
             digest, asked = self.store.digest, job.asked
             pairs = None if asked.pairs is None else [dict(one) for one in asked.pairs]
             poses = [one.model_dump(mode="json") for one in asked.poses]
@@ -187,6 +188,7 @@ class Session:
                 return
             finally:
                 job.child.end()
+                await job.child.gone()
             if job.state != "running":
                 return
             job.state, job.fraction = "done", 1.0
@@ -224,6 +226,12 @@ class Session:
         self.reader.end()
         if self.job is not None and self.job.child is not None:
             self.job.child.end()
+
+    async def gone(self) -> None:
+        """Wait until they are no more."""
+        await self.reader.gone()
+        if self.job is not None and self.job.child is not None:
+            await self.job.child.gone()
 
     def _started(self, work: Any) -> "asyncio.Task[None]":
         task = asyncio.get_running_loop().create_task(_logged(work))

@@ -66,9 +66,12 @@ class Sessions:
                 return await child.ask(task, arguments, told, quiet_s)  # type: ignore[arg-type]
             finally:
                 child.end()
+                await child.gone()
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """End all processes, and throw the cache away."""
         for session in self._open.values():
             session.close()
+        for session in self._open.values():
+            await session.gone()
         shutil.rmtree(self.cache, ignore_errors=True)

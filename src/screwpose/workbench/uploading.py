@@ -9,6 +9,7 @@ from nicegui import events, ui
 
 from screwpose.workbench.guard import LARGEST_UPLOAD_BYTES
 from screwpose.workbench.sessions import Sessions
+from screwpose.workbench.store import safe_file_name
 
 MOST_FILES = 24
 
@@ -28,7 +29,9 @@ def uploader(sessions: Sessions, take: Callable[[list[Uploaded]], Awaitable[None
         files = []
         try:
             for file in event.files[:MOST_FILES]:
-                place = sessions.uploads / secrets.token_hex(16)
+                # Readers of meshes go by the suffix; the rest of a name never reaches the disk here.
+                suffix = Path(safe_file_name(str(file.name))).suffix.lower()[:8]
+                place = sessions.uploads / f"{secrets.token_hex(16)}{suffix}"
                 files.append(Uploaded(place, str(file.name)[:200]))
                 await file.save(place)
             await take(files)

@@ -21,7 +21,7 @@ void main() {
   color = vec4(vec3(inverted ? 1.0 - g : g), 1);
 }`;
 
-const LOUPE_PX = 190, LOUPE_ZOOM = 6, NEAR_PX = 12, CLICK_PX = 4;
+const LOUPE_PX = 190, LOUPE_ZOOM = 6, NEAR_PX = 9, CLICK_PX = 4;
 const DASHES = { solid: [], dashed: [9, 5], dotted: [2, 5] };
 const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
 
@@ -108,6 +108,7 @@ export default {
       this.upload();
       this.word = "";
       this.fit();
+      this.$el.dataset.shown = source.key;
     },
     preset(name) {
       const [low, high] = this.window ?? [0, 65535], span = high - low;
@@ -397,7 +398,7 @@ export default {
       if (event.button === 2 || event.shiftKey) { this.drag.window = [...this.bounds]; return; }
       if (event.button !== 0) return;
       if (s.mode === "mark" && s.editable) {
-        const near = this.nearest(at);
+        const near = s.begun ? null : this.nearest(at); // a centre may lie on another screw's point
         if (near) {
           const point = s.marks.find((one) => one.label === near.label)[near.which];
           Object.assign(this.drag, { mark: near, at: point, offset: [point[0] - at[0], point[1] - at[1]] });
