@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from screwpose import _compiling
-from screwpose import jobs
+from screwpose import _compiling, jobs
 
 _ASK = "from screwpose._compiling import must_compile; print(must_compile())"
 _RUN = """

@@ -41,9 +41,7 @@ class Driver:
 
     def see_xrays(self) -> None:
         """Wait until both X-rays are on the screen."""
-        self.page.wait_for_function(
-            "['AP', 'LAT'].every((view) => window.screwposeViewers?.[view]?.$el.dataset.shown)"
-        )
+        self.page.wait_for_function("['AP', 'LAT'].every((view) => window.screwposeViewers?.[view]?.$el.dataset.shown)")
 
     def place_of(self, view: str, point) -> tuple[float, float]:
         """Where an image point is on the screen."""

@@ -249,9 +249,17 @@ def open_workbench(
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = False,
 ) -> None:
     """Open the workbench: mark, solve, review and export a case in the browser."""
+    import threading
+    import webbrowser
+
     from screwpose.workbench import serve
 
-    serve(path, host, port, opens_browser=not no_browser)
+    def ready(address: str) -> None:
+        typer.echo(f"The workbench is ready; Ctrl-C ends it. Research software, not a medical device.\n{address}")
+        if not no_browser:
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+    serve(path, ready, host, port)
 
 
 @model_app.command("inspect")

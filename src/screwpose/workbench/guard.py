@@ -62,19 +62,20 @@ class Guard:
             return 421, "this server does not answer to that name"
         changes = scope["type"] == "websocket" or scope["method"] not in _SAFE_METHODS
         origin = headers.get("origin")
-        if origin is not None and not self._is_ours(urlsplit(origin).netloc):
+        if origin is not None and not self._is_ours(origin.partition("//")[2]):
             return 403, "a page of another site may not ask"
         if changes and headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
             return 403, "a page of another site may not ask"
         if self._token is not None and not self._knows_token(scope, headers):
             return 401, "open the address with the token that the server printed"
-        if int(headers.get("content-length", "0") or 0) > LARGEST_UPLOAD_BYTES:
+        length = headers.get("content-length", "0")
+        if not length.isdecimal() or int(length[:20]) > LARGEST_UPLOAD_BYTES:
             return 413, f"more than {LARGEST_UPLOAD_BYTES // 2**20} MB at once"
         return None
 
     def _is_ours(self, netloc: str) -> bool:
-        parts = urlsplit(f"//{netloc}")
         try:
+            parts = urlsplit(f"//{netloc}")
             port = parts.port
         except ValueError:
             return False
@@ -127,7 +128,9 @@ def _with_headers(send: Send, host: str) -> Send:
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message.get("headers", []), *own]}
+            said = [(bytes(key).lower(), value) for key, value in message.get("headers", [])]
+            known = {key for key, _ in said}  # a file that was exported has a stricter policy of its own
+            message = {**message, "headers": [*said, *(one for one in own if one[0] not in known)]}
         await send(message)
 
     return sending

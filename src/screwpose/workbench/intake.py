@@ -86,7 +86,9 @@ def _place_text(session: Session, name: str, text: str, view: str | None) -> Non
     if view is None:
         lowered = name.lower()
         named = next((one for one in drafts.CUSTOMARY_VIEWS if one.lower() in lowered), None)
-        free = [one for one in (*drafts.CUSTOMARY_VIEWS, *now["views"]) if "projection" not in now["views"].get(one, {})]
+        free = [
+            one for one in (*drafts.CUSTOMARY_VIEWS, *now["views"]) if "projection" not in now["views"].get(one, {})
+        ]
         view = named or (free[0] if free else drafts.CUSTOMARY_VIEWS[0])
     session.change(drafts.with_projection(now, view, read_calibration(text)))
 
@@ -106,7 +108,7 @@ def _place_case(session: Session, text: str) -> None:
         if entry.get("polarity") in ("metal-dark", "metal-bright"):
             now = drafts.with_view_key(now, str(view)[:80], "polarity", entry["polarity"])
     for name, entry in _objects(data.get("models")):
-        kept = {key: entry[key] for key in ("unit", "tip", "center", "pivot") if key in entry}
+        kept: dict[str, Any] = {key: entry[key] for key in ("unit", "tip", "center", "pivot") if key in entry}
         stem = Path(safe_file_name(str(entry.get("mesh", name)), "model")).stem
         old = now["models"].get(stem, {})
         now = drafts.with_model(now, stem, {**old, **kept})

@@ -32,7 +32,12 @@ KEYS = (
         ("d  D", "away along the ray by 0.1 mm, and back"),
         ("[  ]", "the screw before, the next one"),
     )),
-    ("Everywhere", (("Ctrl + Z", "undo"), ("Ctrl + Shift + Z", "redo"), ("Tab", "the next control"), ("?", "these keys"))),
+    ("Everywhere", (
+        ("Ctrl + Z", "undo"),
+        ("Ctrl + Shift + Z", "redo"),
+        ("Tab", "the next control"),
+        ("?", "these keys"),
+    )),
 )  # fmt: skip
 
 

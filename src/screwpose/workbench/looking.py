@@ -1,4 +1,4 @@
-"""What the page shows of a case before it is solved: its X-rays as pixels, what is wrong, which marks may be one screw."""
+"""What the page shows of a case before it is solved: its X-rays, what is wrong, which marks may be one screw."""
 
 import hashlib
 import json
@@ -56,7 +56,7 @@ def look(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
 
 
 def _told(finding: Finding) -> dict[str, str]:
-    """A finding by its field, and in a sentence that names neither file nor field: it stands beside what it is about."""
+    """A finding by its field, and in a sentence without file and field: it stands beside what it is about."""
     error = finding.as_error()
     error.file = error.field = None
     text = str(error)
@@ -130,7 +130,9 @@ def _outside(mask: Any) -> list[list[float]]:
 
     if mask.all():
         return []
-    simpler = (cv2.approxPolyDP(one.astype(np.float32)[:, None], _TOLERANCE_PX, True)[:, 0] for one in mask_outlines(mask))
+    simpler = (
+        cv2.approxPolyDP(one.astype(np.float32)[:, None], _TOLERANCE_PX, True)[:, 0] for one in mask_outlines(mask)
+    )
     return [[round(float(x), 1) for x in one.ravel()] for one in simpler if len(one) >= 3]
 
 

@@ -19,7 +19,13 @@ from screwpose.workbench.theme import Theme, footer, icon_button
 from screwpose.workbench.viewer import Viewer
 
 STAGES: tuple[Stage, ...] = get_args(Stage)
-WORDS: dict[Stage, str] = {"images": "Images", "mark": "Mark", "review": "Solve & review", "space": "3D", "export": "Export"}
+WORDS: dict[Stage, str] = {
+    "images": "Images",
+    "mark": "Mark",
+    "review": "Solve & review",
+    "space": "3D",
+    "export": "Export",
+}
 _WITH_XRAYS = ("mark", "review")
 
 
@@ -46,8 +52,13 @@ class CasePage:
         self.screw: int | None = None
         self.theme = Theme()
         self._shown_views: tuple[str, ...] | None = None
-        kinds = {"images": ImagesPanel, "mark": MarkPanel, "review": ReviewPanel, "space": SpacePanel, "export": ExportPanel}
-        self._panels: dict[str, Panel] = {name: kind(self) for name, kind in kinds.items()}
+        self._panels: dict[Stage, Panel] = {
+            "images": ImagesPanel(self),
+            "mark": MarkPanel(self),
+            "review": ReviewPanel(self),
+            "space": SpacePanel(self),
+            "export": ExportPanel(self),
+        }
 
     @property
     def may_edit(self) -> bool:
@@ -62,7 +73,9 @@ class CasePage:
             ui.label(self.session.key).classes("case-title").props('title="The case folder"')
             with ui.element("nav").classes("stages").props('aria-label="Stages"'):
                 self._stages = {
-                    name: ui.button(WORDS[name], on_click=partial(self.go, name)).props("flat no-caps").mark(f"stage-{name}")
+                    name: ui.button(WORDS[name], on_click=partial(self.go, name))
+                    .props("flat no-caps")
+                    .mark(f"stage-{name}")
                     for name in STAGES
                 }
             self._saved = ui.label().classes("muted small saved").props('role="status"')
@@ -108,10 +121,10 @@ class CasePage:
         if self._shown_views is not None and self._shown_views != tuple(session.store.draft["views"]):
             self.go(self.stage)
             return
-        for name, button in self._stages.items():
-            is_on = name == self.stage
+        for stage, button in self._stages.items():
+            is_on = stage == self.stage
             button.classes(add="on" if is_on else "", remove="" if is_on else "on")
-            button.props(f'aria-current={"page" if is_on else "false"}')
+            button.props(f"aria-current={'page' if is_on else 'false'}")
         self._banner.set_visibility(session.owner is not None and not self.may_edit)
         self._problem.set_text(session.problem)
         self._problem.set_visibility(bool(session.problem))

@@ -1,6 +1,7 @@
 """The start page: the cases that are there, a new one, and the demo."""
 
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -11,6 +12,7 @@ from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.store import CaseStore
 from screwpose.workbench.theme import Theme, footer
 from screwpose.workbench.uploading import uploader
+
 
 def start_page(sessions: Sessions) -> None:
     """Build the page for one browser."""
@@ -27,13 +29,16 @@ def start_page(sessions: Sessions) -> None:
             problem.set_visibility(False)
             new = _New(sessions, problem)
             uploader(sessions, new.take, "Drop files to begin a case")
-            ui.label("PNG, TIFF or DICOM; STL, OBJ, PLY, VTK or STEP; calibration as JSON or text.").classes("muted small")
-            with ui.row().classes("actions"):
-                ui.button("Empty case", on_click=new.empty).props("outline no-caps")
-                demo = ui.button("Try the demo case", on_click=lambda: _demo(sessions, demo, problem)).props("no-caps")
-            ui.label("Two screws in a simulated patient, marked and ready to solve. It takes some seconds to make.").classes(
+            ui.label("PNG, TIFF or DICOM; STL, OBJ, PLY, VTK or STEP; calibration as JSON or text.").classes(
                 "muted small"
             )
+            with ui.row().classes("actions"):
+                ui.button("Empty case", on_click=new.empty).props("outline no-caps")
+                demo = ui.button("Try the demo case").props("no-caps")
+                demo.on_click(partial(_demo, sessions, demo, problem))
+            ui.label(
+                "Two screws in a simulated patient, marked and ready to solve. It takes some seconds to make."
+            ).classes("muted small")
         with ui.element("section").classes("card"):
             ui.label("Recent cases").classes("heading").props('role="heading" aria-level="2"')
             _recent(sessions)
@@ -95,8 +100,7 @@ def _recent(sessions: Sessions) -> None:
         ui.label("None yet.").classes("muted")
     with ui.element("ul").classes("recent"):
         for one in cases:
-            with ui.element("li"):
-                with ui.link(target=f"/case/{one.key}").classes("case-link"):
-                    ui.label(one.key).classes("case-name")
-                    ui.label("solved" if one.is_solved else "not solved").classes("muted small")
-                    ui.label(f"{one.changed:%d %b %Y, %H:%M}").classes("muted small")
+            with ui.element("li"), ui.link(target=f"/case/{one.key}").classes("case-link"):
+                ui.label(one.key).classes("case-name")
+                ui.label("solved" if one.is_solved else "not solved").classes("muted small")
+                ui.label(f"{one.changed:%d %b %Y, %H:%M}").classes("muted small")

@@ -1,6 +1,7 @@
 """Export: what `screwpose solve` writes, and the case itself."""
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 from nicegui import ui
 
@@ -42,7 +43,8 @@ class ExportPanel:
             if session.store.side.by_hand:
                 ui.label("Screws moved by hand are not in the result until you refine from there.").classes("warning")
             if session.is_solved and not is_written:
-                button = ui.button("Write the report", on_click=lambda: self._write(button)).props("no-caps")
+                button = ui.button("Write the report").props("no-caps")
+                button.on_click(partial(self._write, button))
             for name, title, words in _FILES:
                 ready = name == "case.zip" or (session.is_solved and (is_written or name == "result.json"))
                 with ui.row().classes("export"):
@@ -50,11 +52,13 @@ class ExportPanel:
                         ui.label(title).classes("strong")
                         ui.label(words).classes("muted small")
                     if ready:
-                        ui.link(f"Get {name}", f"/export/{session.key}/{name}", new_tab=name == "report.html").classes("get")
+                        ui.link(f"Get {name}", f"/export/{session.key}/{name}", new_tab=name == "report.html").classes(
+                            "get"
+                        )
                     else:
                         ui.label("not written yet").classes("muted small")
 
-    async def _write(self, button: Any) -> None:
+    async def _write(self, button: ui.button) -> None:
         button.props("loading")
         await self._page.session.ask("export")
         self._page.session.tell()

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _POLARITIES = {"auto": "found out from the image", "metal-dark": "metal is dark", "metal-bright": "metal is bright"}
 _FORMS = (
-    "12 numbers: the 3 x 4 matrix P, row by row. Or 9 numbers (intrinsics K) and 12 or 16 (pose [R | t], world to camera, "
-    'mm). Or JSON: {"projection": ...} or {"K": ..., "R": ..., "t": ...}.'
+    "12 numbers: the 3 x 4 matrix P, row by row. Or 9 numbers (intrinsics K) and 12 or 16 (pose [R | t], world to "
+    'camera, mm). Or JSON: {"projection": ...} or {"K": ..., "R": ..., "t": ...}.'
 )
 
 
@@ -88,26 +88,33 @@ class ImagesPanel:
         with ui.element("section").classes("card view-card").mark(f"view-{view}"):
             with ui.row().classes("card-head"):
                 ui.label(view).classes("heading").props('role="heading" aria-level="2"')
-                ui.label(f"{facts['width']} x {facts['height']} px, {facts['bits']} bit" if facts else "").classes("muted small grow")
+                ui.label(f"{facts['width']} x {facts['height']} px, {facts['bits']} bit" if facts else "").classes(
+                    "muted small grow"
+                )
                 if entry and self._page.may_edit:
                     icon_button("delete_outline", f"Remove {view}", partial(self._remove_view, view))
             if facts:
-                ui.image(f"/preview/{facts['key']}").classes("preview").props(f'alt="Preview of the X-ray {view}"')
+                picture = ui.image(f"/preview/{facts['key']}").classes("preview")
+                picture.props["alt"] = f"Preview of the X-ray {view}"
             else:
-                ui.label("No X-ray yet: drop one above." if "image" not in entry else "Reading the X-ray ...").classes("empty")
+                ui.label("No X-ray yet: drop one above." if "image" not in entry else "Reading the X-ray ...").classes(
+                    "empty"
+                )
             if "image" in entry:
                 ui.label(entry["image"]).classes("muted small")
                 ui.select(
                     _POLARITIES, value=entry.get("polarity", "auto"), label="Polarity",
-                    on_change=lambda e: self._edit(drafts.with_view_key(session.store.draft, view, "polarity", e.value)),
+                    on_change=lambda e: self._edit(
+                        drafts.with_view_key(session.store.draft, view, "polarity", e.value)
+                    ),
                 ).props("dense outlined").classes("wide").set_enabled(self._page.may_edit)  # fmt: skip
             with ui.row().classes("calibration"):
                 has = "projection" in entry
                 ui.icon("check_circle" if has else "radio_button_unchecked").classes("ok" if has else "muted")
                 ui.label("Calibrated" if has else "Not calibrated").classes("grow")
-                ui.button("Calibration", on_click=partial(self._dialog.open, view)).props("outline no-caps dense").set_enabled(
-                    self._page.may_edit
-                )
+                ui.button("Calibration", on_click=partial(self._dialog.open, view)).props(
+                    "outline no-caps dense"
+                ).set_enabled(self._page.may_edit)
             notes(findings)
 
     def _models_card(self, findings: list[dict[str, str]]) -> None:

@@ -8,7 +8,7 @@ from nicegui import events, ui
 from screwpose.report.palette import Ink, ink_of
 from screwpose.workbench import draft as drafts
 from screwpose.workbench.side_file import Begun, BegunMark
-from screwpose.workbench.theme import icon_button, notes
+from screwpose.workbench.theme import icon_button, named, notes
 
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
@@ -32,9 +32,15 @@ class MarkPanel:
         for view, viewer in page.viewers.items():
             viewer.set(mode="mark", layers={"marks": True, "mask": True}, outlines=[], ellipses=[], metal=[])
             for name, act in (
-                ("placed", self._placed), ("moved", self._moved), ("selected", self._selected), ("removed", self._removed),
-                ("entered", self._entered), ("stepped", self._stepped), ("escaped", self._escaped), ("painted", self._painted),
-            ):  # fmt: skip
+                ("placed", self._placed),
+                ("moved", self._moved),
+                ("selected", self._selected),
+                ("removed", self._removed),
+                ("entered", self._entered),
+                ("stepped", self._stepped),
+                ("escaped", self._escaped),
+                ("painted", self._painted),
+            ):
                 viewer.on(name, partial(act, view))
         self._hint = ui.label().classes("hint").props('role="status" aria-live="polite"')
         window_controls(page)
@@ -62,13 +68,16 @@ class MarkPanel:
                 begun=None if begun is None else {"label": begun.label, "tip": list(begun.tip)},
                 pairs=[
                     {"points": pair["points"][view], "color": self._ink_of_pair(pair).color}
-                    for pair in pairs if view in pair["points"]
+                    for pair in pairs
+                    if view in pair["points"]
                 ],
                 epipolar={
-                    other: of_view[view] for other, of_view in session.known.get("epipolar", {}).items() if view in of_view
+                    other: of_view[view]
+                    for other, of_view in session.known.get("epipolar", {}).items()
+                    if view in of_view
                 },
                 selected=page.selected.get(view),
-            )  # fmt: skip
+            )
         self._hint.set_text(self._what_next())
         self._brush.set_visibility(self._painting)
         self._erase.set_visibility(self._painting)
@@ -86,8 +95,14 @@ class MarkPanel:
             return f"{view} {one.label}: now click the centre of its body."
         counts = [len(drafts.marks_of(session.store.draft, view)) for view in session.store.draft["views"]]
         if not any(counts):
-            return "Click the tip of a screw, then the centre of its body. Order and names need not agree between the views."
-        return "Click the next tip, or drag a point to correct it. The other view shows the line on which the point must lie."
+            return (
+                "Click the tip of a screw, then the centre of its body. "
+                "Order and names need not agree between the views."
+            )
+        return (
+            "Click the next tip, or drag a point to correct it. "
+            "The other view shows the line on which the point must lie."
+        )
 
     def _show_lists(self, pairs: list[dict[str, Any]]) -> None:
         session, page = self._page.session, self._page
@@ -104,23 +119,33 @@ class MarkPanel:
                 ui.label(f"{view}: {len(marks)} screw{'' if len(marks) == 1 else 's'}").classes("group")
                 for one in marks:
                     on = page.selected.get(view, {}).get("label") == one["label"]
-                    with ui.row().classes(f"mark {'on' if on else ''}").on("click", partial(self._choose, view, one["label"])):
+                    row = ui.row().classes(f"mark {'on' if on else ''}")
+                    with row.on("click", partial(self._choose, view, one["label"])):
                         ui.element("span").classes("swatch").style(f"background:{self._ink(view, one['label']).color}")
-                        ui.input(value=one["label"]).props(
-                            f'dense borderless maxlength=40 aria-label="Label of a screw in {view}"'
-                        ).classes("label-input").on("change", partial(self._rename, view, one["label"])).set_enabled(page.may_edit)
-                        ui.select(
-                            {None: "any model", **{name: name for name in models}}, value=one.get("model"),
+                        label = (
+                            ui.input(value=one["label"]).props("dense borderless maxlength=40").classes("label-input")
+                        )
+                        named(label, f"Label of a screw in {view}").set_enabled(page.may_edit)
+                        label.on("change", partial(self._rename, view, one["label"]))
+                        model = ui.select(
+                            {None: "any model", **{name: name for name in models}},
+                            value=one.get("model"),
                             on_change=partial(self._set_model, view, one["label"]),
-                        ).props(f'dense borderless aria-label="Model of {view} {one["label"]}"').classes("grow").set_enabled(page.may_edit)  # fmt: skip
+                        )
+                        named(model.props("dense borderless").classes("grow"), f"Model of {view} {one['label']}")
+                        model.set_enabled(page.may_edit)
                         if page.may_edit:
-                            icon_button("close", f"Remove {view} {one['label']}", partial(self._remove, view, one["label"]))
+                            icon_button(
+                                "close", f"Remove {view} {one['label']}", partial(self._remove, view, one["label"])
+                            )
             if pairs:
                 ui.label("Suggested pairs").classes("group")
                 for pair in pairs:
                     with ui.row().classes("pair"):
                         ui.element("span").classes("swatch").style(f"background:{self._ink_of_pair(pair).color}")
-                        ui.label(" = ".join(f"{view} {label}" for view, label in pair["labels"].items())).classes("grow")
+                        ui.label(" = ".join(f"{view} {label}" for view, label in pair["labels"].items())).classes(
+                            "grow"
+                        )
                         ui.label(f"{100 * pair['probability']:.1f} %").classes("muted small")
             about = [one for one in findings if one["field"].startswith("annotations") or not one["field"]]
             if any(drafts.marks_of(session.store.draft, view) for view in session.store.draft["views"]):
@@ -239,7 +264,7 @@ class MarkPanel:
         elif self._page.may_edit:
             session.change(drafts.with_label(session.store.draft, view, label, new))
 
-    def _set_model(self, view: str, label: str, event: events.ValueChangeEventArguments) -> None:
+    def _set_model(self, view: str, label: str, event: events.ValueChangeEventArguments[Any]) -> None:
         if self._page.may_edit:
             session = self._page.session
             session.change(drafts.with_mark_model(session.store.draft, view, label, event.value))
@@ -248,7 +273,9 @@ class MarkPanel:
     def _mode(self) -> None:
         self._painting = bool(self._paint.value)
         for viewer in self._page.viewers.values():
-            viewer.set(mode="paint" if self._painting else "mark", brush=self._brush.value, counts=bool(self._erase.value))
+            viewer.set(
+                mode="paint" if self._painting else "mark", brush=self._brush.value, counts=bool(self._erase.value)
+            )
         self.refresh()
 
     async def _painted(self, view: str, event: events.GenericEventArguments) -> None:

@@ -9,11 +9,17 @@ from nicegui import events, ui
 from screwpose.workbench.panel_mark import window_controls
 from screwpose.workbench.side_file import Begun
 
-
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
 
-_STATUS_ICONS = {"ok": "check_circle", "check": "help", "failed": "cancel", "confident": "check_circle", "ambiguous": "help", "refused": "cancel"}
+_STATUS_ICONS = {
+    "ok": "check_circle",
+    "check": "help",
+    "failed": "cancel",
+    "confident": "check_circle",
+    "ambiguous": "help",
+    "refused": "cancel",
+}
 # What a key does to the chosen screw: `reviewing.nudge`'s move.
 _TURNS = {"r": ("roll", 1.0), "t": ("tilt", 0.2), "a": ("along", 0.1), "d": ("away", 0.1)}
 _ELLIPSE_PX = 14.0  # about how large an ellipse is drawn: an error of a hundredth of a mm is no pixel wide
@@ -26,7 +32,15 @@ class ReviewPanel:
         self._page = page
         self._shown: int | None = None
         self._before = False
-        self._layers: dict[str, Any] = {"opacity": 0.3, "outline": True, "blink": False, "difference": False, "marks": False, "ellipses": True, "mask": False}
+        self._layers: dict[str, Any] = {
+            "opacity": 0.3,
+            "outline": True,
+            "blink": False,
+            "difference": False,
+            "marks": False,
+            "ellipses": True,
+            "mask": False,
+        }
         self._poses: list[Any] | None = None
         self._start: list[Any] | None = None
         self._waiting: dict[str, Any] | None = None
@@ -45,12 +59,21 @@ class ReviewPanel:
         self._answer = ui.element("div").classes("answer")
         with ui.expansion("Overlay", icon="layers", value=False).classes("wide layers").props("dense"):
             with ui.row().classes("tools"):
-                for key, words in (("outline", "Outline"), ("blink", "Blink"), ("difference", "Difference"), ("marks", "Marks"), ("ellipses", "Sigma"), ("mask", "Mask")):
+                for key, words in (
+                    ("outline", "Outline"),
+                    ("blink", "Blink"),
+                    ("difference", "Difference"),
+                    ("marks", "Marks"),
+                    ("ellipses", "Sigma"),
+                    ("mask", "Mask"),
+                ):
                     ui.checkbox(words, value=self._layers[key], on_change=partial(self._layer, key)).props("dense")
                 ui.checkbox("Before registration", value=self._before, on_change=self._stage).props("dense")
             with ui.row().classes("tools nowrap"):
                 ui.label("Opacity").classes("small")
-                ui.slider(min=0, max=1, step=0.05, value=self._layers["opacity"], on_change=partial(self._layer, "opacity")).props('aria-label="Opacity of the overlay"')
+                ui.slider(
+                    min=0, max=1, step=0.05, value=self._layers["opacity"], on_change=partial(self._layer, "opacity")
+                ).props('aria-label="Opacity of the overlay"')
             window_controls(self._page)
         self._screws = ui.element("div").classes("screws")
         self._build_hand()
@@ -64,7 +87,14 @@ class ReviewPanel:
         """Show the result as it is now."""
         self._show_job()
         data = self._page.session.reviewed
-        stamp = (id(data), self._page.may_edit, self._page.session.is_stale, self._page.screw, self._shown, self._page.session.store.side.choice)
+        stamp = (
+            id(data),
+            self._page.may_edit,
+            self._page.session.is_stale,
+            self._page.screw,
+            self._shown,
+            self._page.session.store.side.choice,
+        )
         if data is not None and stamp != self._seen:
             if self._seen is None or self._seen[0] != stamp[0]:
                 self._poses, self._shown = None, None
@@ -121,7 +151,9 @@ class ReviewPanel:
                 ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
                 with ui.row().classes("actions"):
                     again = ui.button("Solve again", on_click=lambda: session.solve(interrupted)).props("no-caps dense")
-                    leave = ui.button("Leave it", on_click=lambda: session.change_side(job=None)).props("flat no-caps dense")
+                    leave = ui.button("Leave it", on_click=lambda: session.change_side(job=None)).props(
+                        "flat no-caps dense"
+                    )
                     again.set_enabled(page.may_edit)
                     leave.set_enabled(page.may_edit)
         elif not session.is_solved or session.is_stale:
@@ -142,7 +174,9 @@ class ReviewPanel:
                     ui.label(f"pairing {100 * data['probability']:.1f} %").classes("small")
             ui.label(data["meaning"]).classes("small")
             if choice is not None:
-                ui.label(f"The pairing is yours, not the solver's ({choice.when}): {choice.reason}").classes("small strong")
+                ui.label(f"The pairing is yours, not the solver's ({choice.when}): {choice.reason}").classes(
+                    "small strong"
+                )
             for warning in data["warnings"]:
                 ui.label(warning[:1].upper() + warning[1:]).classes("warning small")
 
@@ -153,13 +187,20 @@ class ReviewPanel:
                 ui.label("Screws").classes("group")
             for index, screw in enumerate(data["screws"]):
                 on = index == self._page.screw
-                with ui.element("button").classes(f"screw {'on' if on else ''}").props(f'type="button" aria-pressed={"true" if on else "false"}').on("click", partial(self._choose_screw, index)):
+                with (
+                    ui.element("button")
+                    .classes(f"screw {'on' if on else ''}")
+                    .props(f'type="button" aria-pressed={"true" if on else "false"}')
+                    .on("click", partial(self._choose_screw, index))
+                ):
                     with ui.row().classes("card-head"):
                         ui.element("span").classes("swatch").style(f"background:{screw['color']}")
                         ui.label(screw["name"]).classes("strong grow")
                         ui.icon(_STATUS_ICONS[screw["status"]]).classes(screw["status"])
                         ui.label(screw["words"]).classes("small")
-                    ui.label(f"Expected error: {screw['sigma']}" if screw["sigma"] else "Expected error: not estimated").classes("muted small")
+                    ui.label(
+                        f"Expected error: {screw['sigma']}" if screw["sigma"] else "Expected error: not estimated"
+                    ).classes("muted small")
                     for doubt in screw["doubts"]:
                         ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
 
@@ -196,7 +237,15 @@ class ReviewPanel:
             ui.label("Combinations (upper line before, lower line after registration)").classes("group")
             with ui.element("table").props('aria-label="Combinations"'):
                 with ui.element("thead"), ui.element("tr"):
-                    for words in ("", "Pairs", "Prob.", "Dice", "Loss", *([f"{v} loss" for v in self._page.viewers]), ""):
+                    for words in (
+                        "",
+                        "Pairs",
+                        "Prob.",
+                        "Dice",
+                        "Loss",
+                        *([f"{v} loss" for v in self._page.viewers]),
+                        "",
+                    ):
                         with ui.element("th").props("scope=col"):
                             ui.label(words)
                 for one in data["combinations"]:
@@ -210,7 +259,11 @@ class ReviewPanel:
                 with ui.element("tr"):
                     if stage == "pre":
                         with ui.element("td").props("rowspan=2"):
-                            ui.radio({one["id"]: ""}, value=one["id"] if shown else None, on_change=partial(self._show, one["id"])).props(f'dense aria-label="Show combination {one["id"]}"')
+                            ui.radio(
+                                {one["id"]: ""},
+                                value=one["id"] if shown else None,
+                                on_change=partial(self._show, one["id"]),
+                            ).props(f'dense aria-label="Show combination {one["id"]}"')
                         with ui.element("td").props("rowspan=2"):
                             for pair in one["pairs"]:
                                 ui.label(" = ".join(pair.values())).classes("pair-words")
@@ -224,7 +277,9 @@ class ReviewPanel:
                             if chosen:
                                 ui.label("yours" if choice else "chosen").classes("badge")
                             elif self._page.may_edit:
-                                ui.button("Choose", on_click=partial(self._ask_reason, one["id"])).props("outline dense no-caps").mark(f"choose-{one['id']}")
+                                ui.button("Choose", on_click=partial(self._ask_reason, one["id"])).props(
+                                    "outline dense no-caps"
+                                ).mark(f"choose-{one['id']}")
 
     # ---- choosing
     def _ask_reason(self, number: int) -> None:
@@ -280,24 +335,27 @@ class ReviewPanel:
         is_answer = number == data["chosen"] and not self._before
         name = None if page.screw is None or page.screw >= len(data["screws"]) else data["screws"][page.screw]["name"]
         for view, viewer in page.viewers.items():
-            shadows = data["shadows"].get(f"{number}-{'pre' if self._before else 'post'}-{view}", data["shadows"].get(f"{number}-pre-{view}", []))
+            shadows = data["shadows"].get(
+                f"{number}-{'pre' if self._before else 'post'}-{view}", data["shadows"].get(f"{number}-pre-{view}", [])
+            )
             if is_answer and session.live is not None:
                 shadows = session.live["shadows"][view]
             ellipses = [] if not is_answer or session.live else [_ellipse(one, view, shadows) for one in data["screws"]]
+            marked = session.store.draft["annotations"].get(view, [])
             viewer.set(
                 outlines=[{key: one[key] for key in ("name", "color", "dash", "paths")} for one in shadows],
                 metal=data["metal"].get(view, []),
                 ellipses=[one for one in ellipses if one],
-                marks=[{**{k: one[k] for k in ("label", "tip", "center")}, "color": "#ffffff"} for one in session.store.draft["annotations"].get(view, [])],
+                marks=[{**{k: one[k] for k in ("label", "tip", "center")}, "color": "#ffffff"} for one in marked],
                 selected=name,
                 layers=dict(self._layers),
-            )  # fmt: skip
+            )
 
-    def _layer(self, key: str, event: events.ValueChangeEventArguments) -> None:
+    def _layer(self, key: str, event: events.ValueChangeEventArguments[Any]) -> None:
         self._layers[key] = event.value
         self._overlay()
 
-    def _stage(self, event: events.ValueChangeEventArguments) -> None:
+    def _stage(self, event: events.ValueChangeEventArguments[Any]) -> None:
         self._before = bool(event.value)
         self._overlay()
 
@@ -328,7 +386,9 @@ class ReviewPanel:
                 asked, self._waiting = self._waiting, None
                 start = self._start or self._now()
                 self._start = start
-                moved = await session.ask("nudge", poses=start, index=page.screw, view=asked["view"], move=asked["move"])
+                moved = await session.ask(
+                    "nudge", poses=start, index=page.screw, view=asked["view"], move=asked["move"]
+                )
                 if asked["done"]:
                     self._start = None
                 if moved is None:
@@ -348,7 +408,9 @@ class ReviewPanel:
         if session.live is not None:
             return list(session.live["poses"])
         held = {tuple(sorted(one.labels.items())): one.world_from_cad for one in session.store.side.by_hand}
-        return [held.get(tuple(sorted(one["labels"].items())), one["world_from_cad"]) for one in session.reviewed["screws"]]
+        return [
+            held.get(tuple(sorted(one["labels"].items())), one["world_from_cad"]) for one in session.reviewed["screws"]
+        ]
 
     def _refine(self) -> None:
         self._page.session.refine_from_here()
@@ -367,5 +429,3 @@ def _ellipse(screw: dict[str, Any], view: str, shadows: list[dict[str, Any]]) ->
     largest = max(abs(x) for x in path) or 1.0
     times = next((n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if n * largest >= _ELLIPSE_PX), 1000)
     return {"path": path, "at": tip, "times": times, "color": screw["color"]}
-
-

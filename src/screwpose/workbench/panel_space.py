@@ -64,7 +64,13 @@ class SpacePanel:
                 scene.line(*item["axis"]).material(item["color"])
             for view in space["views"]:
                 self._carm(scene, view)
-        scene.move_camera(*eye.tolist(), *center.tolist(), *space["up"], duration=0)
+        ways = ("", "look_at_", "up_")
+        place = {
+            f"{way}{axis}": float(value)
+            for way, point in zip(ways, (eye, center, space["up"]), strict=True)
+            for axis, value in zip("xyz", point, strict=True)
+        }
+        scene.move_camera(**place, duration=0)
 
     def _carm(self, scene: ui.scene, view: dict[str, Any]) -> None:
         """A source, the rays to the corners of its image, and the image on their plane."""
@@ -77,7 +83,9 @@ class SpacePanel:
         scene.sphere(4.0).move(*source).material(_LINE)
         scene.text(view["name"], "color: #8fd3ff; font-weight: 600").move(*corners[0])
         if facts is not None:
-            scene.texture(f"/preview/{facts['key']}", plane).material("#ffffff", opacity=1.0, side="both").with_name(f"view:{view['name']}")
+            scene.texture(f"/preview/{facts['key']}", plane).material("#ffffff", opacity=1.0, side="both").with_name(
+                f"view:{view['name']}"
+            )
 
     def _clicked(self, event: events.SceneClickEventArguments) -> None:
         data = self._page.session.reviewed or {"screws": []}
@@ -93,10 +101,17 @@ class SpacePanel:
     def _list(self, data: dict[str, Any] | None) -> None:
         self._side.clear()
         with self._side:
-            ui.label("Drag to turn, right button to move, wheel to zoom. Click a screw to choose it everywhere.").classes("muted small")
+            ui.label(
+                "Drag to turn, right button to move, wheel to zoom. Click a screw to choose it everywhere."
+            ).classes("muted small")
             for index, screw in enumerate(data["screws"] if data else ()):
                 on = index == self._page.screw
-                with ui.element("button").classes(f"screw {'on' if on else ''}").props(f'type="button" aria-pressed={"true" if on else "false"}').on("click", partial(self._choose, index)):
+                with (
+                    ui.element("button")
+                    .classes(f"screw {'on' if on else ''}")
+                    .props(f'type="button" aria-pressed={"true" if on else "false"}')
+                    .on("click", partial(self._choose, index))
+                ):
                     with ui.row().classes("card-head"):
                         ui.element("span").classes("swatch").style(f"background:{screw['color']}")
                         ui.label(screw["name"]).classes("strong grow")
@@ -110,7 +125,7 @@ class SpacePanel:
                 mesh.material(screw["color"], opacity=0.35 if faint else 1.0)
 
 
-def _whole_plane(view: dict[str, Any]) -> list[list[list[float]]]:
+def _whole_plane(view: dict[str, Any]) -> Any:
     """The corners of the whole image, row by row, from those of the part that the report shows and its place in it."""
     low_high = np.array(view["texture"])  # the part's corners in the image, from its lower left, 0 to 1
     corners = np.array(view["corners"])

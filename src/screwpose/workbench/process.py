@@ -36,7 +36,9 @@ class Child:
         self._killed: list[asyncio.subprocess.Process] = []
         self.is_ended = False
 
-    async def ask(self, task: str, arguments: dict[str, Any], told: Told | None = None, quiet_s: float = _QUIET_S) -> Any:
+    async def ask(
+        self, task: str, arguments: dict[str, Any], told: Told | None = None, quiet_s: float = _QUIET_S
+    ) -> Any:
         """Have a task of `screwpose.workbench.tasks` done.
 
         Parameters
@@ -80,7 +82,9 @@ class Child:
                 self._kill()
                 if self.is_ended:
                     raise CancelledError("stopped") from error
-                raise TaskError("it needed more memory than it may have, or broke down: is the file damaged?") from error
+                raise TaskError(
+                    "it needed more memory than it may have, or broke down: is the file damaged?"
+                ) from error
             except asyncio.CancelledError:
                 self._kill()  # a half-read answer would be taken for the next one's
                 raise

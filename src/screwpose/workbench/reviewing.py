@@ -73,7 +73,7 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
         name: [_flat(one) for one in mask_outlines(~target.metal)[1:]] for name, target in seen.evidence.targets.items()
     }
     table = combination_table([answer]).without("set")
-    screws = []
+    screws: list[dict[str, Any]] = []
     for screw in answer.screws:
         sigma = screw.sigma or SigmaFile()
         name = screw_name(screw.labels)
@@ -111,7 +111,9 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
             for (number, stage, view), cast in drawings.shadows.items()
         },
         "metal": metal,
-        "space": None if space is None else _with_meshes(page_data(space, seen.case.views, drawings.crops), space, Path(cache)),
+        "space": None
+        if space is None
+        else _with_meshes(page_data(space, seen.case.views, drawings.crops), space, Path(cache)),
     }
 
 
@@ -144,9 +146,7 @@ def nudge(
     scored = score(seen.evidence, seen.combination, tuple(in_order[h.labels] for h in seen.combination.hypotheses))
     return {
         "poses": [pose.tolist() for pose in now],
-        "shadows": {
-            name: [seen.shadow(name, one) for one in posed] for name in seen.case.views
-        },
+        "shadows": {name: [seen.shadow(name, one) for one in posed] for name in seen.case.views},
         "dice": scored.dice,
         "loss": scored.loss,
         "views": {name: {"dice": one.dice, "loss": one.loss} for name, one in scored.views.items()},
@@ -202,7 +202,10 @@ def _reviewed(folder: str) -> Reviewed:
     evidence = with_metal(evidence, case, placed)
     refined = result.answer.cameras
     if refined:
-        cameras = {name: Camera.from_matrix(np.array(one.projection), case.views[name].camera.image_size) for name, one in refined.items()}
+        cameras = {
+            name: Camera.from_matrix(np.array(one.projection), case.views[name].camera.image_size)
+            for name, one in refined.items()
+        }
         case, evidence = in_cameras(case, cameras), replace(evidence, cameras=cameras)
     chosen = chosen_combination(result.answer)
     own = None if chosen is None else of_number.get(chosen.id)
@@ -219,7 +222,9 @@ def _ellipses(case: Case, tip: Sequence[float], covariance: Any) -> dict[str, li
     found = {}
     for name, view in case.views.items():
         try:
-            found[name] = [round(float(x), 4) for x in ellipse_in_view(view.camera, np.array(tip), np.array(covariance)).ravel()]
+            found[name] = [
+                round(float(x), 4) for x in ellipse_in_view(view.camera, np.array(tip), np.array(covariance)).ravel()
+            ]
         except ScrewposeError:
             continue  # a screw behind a source has no image
     return found

@@ -4,8 +4,8 @@ import asyncio
 import contextlib
 import secrets
 import socket
-import threading
-import webbrowser
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import uvicorn
@@ -15,7 +15,7 @@ from nicegui import ui
 
 from screwpose.errors import InputError, OutputError
 from screwpose.workbench.endpoints import add_endpoints
-from screwpose.workbench.guard import LARGEST_UPLOAD_BYTES, LOOPBACK, Guard
+from screwpose.workbench.guard import LOOPBACK, Guard
 from screwpose.workbench.page_case import case_page
 from screwpose.workbench.page_start import start_page
 from screwpose.workbench.sessions import Sessions
@@ -25,13 +25,14 @@ _STATIC = Path(__file__).parent / "static"
 _LONGEST_MESSAGE = 4 * 2**20  # of a browser: long strokes of a brush are the longest
 
 
-def serve(path: Path | None, host: str = "127.0.0.1", port: int = 0, opens_browser: bool = True) -> None:
-    """Serve the workbench until it is stopped; its address is printed on a line of its own when it is ready.
+def serve(path: Path | None, ready: Callable[[str], None], host: str = "127.0.0.1", port: int = 0) -> None:
+    """Serve the workbench until it is stopped.
 
     Parameters
     ----------
     path : a case, or a folder of cases; None: the user's own.
-    host : where to listen. Anywhere but on this machine itself a token is asked for, which is in the printed address.
+    ready : called with the address once it answers there.
+    host : where to listen. Anywhere but on this machine itself a token is asked for, which is in the address.
     port : 0 for any that is free.
 
     Raises
@@ -68,26 +69,22 @@ def serve(path: Path | None, host: str = "127.0.0.1", port: int = 0, opens_brows
     config = uvicorn.Config(
         guarded, log_level="warning", ws_max_size=_LONGEST_MESSAGE, timeout_graceful_shutdown=2, server_header=False
     )
-    server = _Telling(config, address, opens_browser)
+    server = _Telling(config, partial(ready, address))
     with contextlib.suppress(KeyboardInterrupt):  # is how it is ended
         asyncio.run(server.serve(sockets=[listening]))
 
 
 class _Telling(uvicorn.Server):
-    """Prints the address once it answers there, and not before."""
+    """Says so once it answers, and not before."""
 
-    def __init__(self, config: uvicorn.Config, address: str, opens_browser: bool) -> None:
+    def __init__(self, config: uvicorn.Config, ready: Callable[[], None]) -> None:
         super().__init__(config)
-        self._address = address
-        self._opens_browser = opens_browser
+        self._ready = ready
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
-        if self.should_exit:
-            return
-        print(f"The workbench is ready (Ctrl-C ends it). Research software, not a medical device.\n{self._address}", flush=True)  # noqa: T201
-        if self._opens_browser:
-            threading.Thread(target=webbrowser.open, args=(self._address,), daemon=True).start()
+        if not self.should_exit:
+            self._ready()
 
 
 def _listening(host: str, port: int) -> socket.socket:
@@ -107,17 +104,14 @@ def _listening(host: str, port: int) -> socket.socket:
 
 def _shown(host: str) -> str:
     """A host that a browser can be sent to."""
-    return "127.0.0.1" if host in ("0.0.0.0", "") else host  # noqa: S104
+    return "127.0.0.1" if host in ("0.0.0.0", "") else host
 
 
 def _own_addresses(host: str) -> list[str]:
     """The addresses under which all interfaces are asked."""
-    if host not in ("0.0.0.0", "::"):  # noqa: S104
+    if host not in ("0.0.0.0", "::"):
         return []
     try:
         return [str(one[4][0]) for one in socket.getaddrinfo(socket.gethostname(), None)]
     except OSError:
         return []
-
-
-__all__ = ["LARGEST_UPLOAD_BYTES", "serve"]

@@ -52,7 +52,9 @@ class Sessions:
                 session.reader.end()
                 session.reader = Child(READER_BYTES)
 
-    async def helped(self, task: str, arguments: dict[str, object], told: object = None, quiet_s: float = 90.0) -> object:
+    async def helped(
+        self, task: str, arguments: dict[str, object], told: object = None, quiet_s: float = 90.0
+    ) -> object:
         """Have something done by a process that ends with it: what it reads may be anything.
 
         Raises

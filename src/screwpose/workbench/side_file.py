@@ -58,7 +58,7 @@ class SideFile(FileModel):
 
     format: Literal["screwpose-workbench/1"] = "screwpose-workbench/1"
     stage: Stage = "images"
-    begun: dict[Name, BegunMark] = {}
+    begun: dict[Name, BegunMark] = Field(default_factory=dict)
     solved_from: str | None = None
     choice: Choice | None = None
     job: Begun | None = None

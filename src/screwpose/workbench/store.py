@@ -144,7 +144,7 @@ def _read_draft(file: Path) -> Draft:
     data = read_json(file)
     if not isinstance(data, dict):
         raise CaseError("the file holds no object", file=file, expected="a case, as docs/files.md describes it")
-    parts = {key: data.get(key) if isinstance(data.get(key), dict) else {} for key in ("views", "models")}
+    parts: Draft = {key: data.get(key) if isinstance(data.get(key), dict) else {} for key in ("views", "models")}
     lists = data.get("annotations") if isinstance(data.get("annotations"), dict) else {}
     marks = {view: [one for one in ones if _is_mark(one)] for view, ones in (lists or {}).items() if _is_list(ones)}
     return {**data, **parts, "annotations": marks}
@@ -157,7 +157,9 @@ def _is_list(value: Any) -> bool:
 def _is_mark(one: Any) -> bool:
     """Whether an annotation can be drawn; what cannot is for `check` to name, and not shown."""
     try:
-        return all(len([float(x) for x in one[key]]) == 2 for key in ("tip", "center")) and isinstance(one["label"], str)
+        return all(len([float(x) for x in one[key]]) == 2 for key in ("tip", "center")) and isinstance(
+            one["label"], str
+        )
     except (KeyError, TypeError, ValueError):
         return False
 

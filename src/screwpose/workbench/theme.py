@@ -1,7 +1,7 @@
 """How the pages look: the style sheet, the theme that a browser chose last, and small parts that all pages have."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from nicegui import ui
 
@@ -37,9 +37,18 @@ class Theme:
 
 def icon_button(icon: str, words: str, act: Callable[..., Any]) -> ui.button:
     """A button that is a picture, with its words for who points at it or listens."""
-    with ui.button(icon=icon, on_click=act).props(f'flat dense round aria-label="{words}"').classes("quiet") as button:
+    with named(ui.button(icon=icon, on_click=act).props("flat dense round").classes("quiet"), words) as button:
         ui.tooltip(words)
     return button
+
+
+_Kind = TypeVar("_Kind", bound=ui.element)
+
+
+def named(element: _Kind, words: str) -> _Kind:
+    """Say what an element is to who listens. Words may be a label that somebody typed, so they are no text of props."""
+    element.props["aria-label"] = words
+    return element
 
 
 def notes(found: Sequence[dict[str, str]]) -> None:

@@ -41,7 +41,9 @@ def uploader(sessions: Sessions, take: Callable[[list[Uploaded]], Awaitable[None
             upload.reset()
 
     def rejected() -> None:
-        ui.notify(f"Not taken: at most {MOST_FILES} files, {LARGEST_UPLOAD_BYTES // 2**20} MB together.", type="negative")
+        ui.notify(
+            f"Not taken: at most {MOST_FILES} files, {LARGEST_UPLOAD_BYTES // 2**20} MB together.", type="negative"
+        )
 
     upload = ui.upload(
         multiple=True, auto_upload=True, label=label, max_files=MOST_FILES, max_total_size=LARGEST_UPLOAD_BYTES,

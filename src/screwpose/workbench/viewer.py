@@ -6,7 +6,7 @@ from typing import Any
 from nicegui import ui
 
 
-class Viewer(ui.element, component="static/xray.js"):  # type: ignore[call-arg]
+class Viewer(ui.element, component="static/xray.js"):
     """Shows one X-ray and what lies over it, and tells what a hand does: `placed`, `moved`, `selected`, `picked`,
     `nudged`, `turned`, `painted`, `entered`, `stepped`, `removed`, `escaped`."""
 

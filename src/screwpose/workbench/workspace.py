@@ -44,7 +44,9 @@ class Workspace:
         """
         if key in {file.parent.name for file in self.folder.glob("*/case.json")}:
             return self.folder / key
-        raise CaseError(f"there is no case of the name {key[:80]!r} here", remedy="The start page lists those there are.")
+        raise CaseError(
+            f"there is no case of the name {key[:80]!r} here", remedy="The start page lists those there are."
+        )
 
 
 def workspace_of(path: Path | None) -> Workspace:
