@@ -1,12 +1,6 @@
 """A simulated case, servers in processes of their own, and one Chromium for all tests."""
 
-import os
-import re
 import shutil
-import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,9 +8,7 @@ import pytest
 
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
-from tests.workbench.driving import FLAGS, Driver
-
-CHROMIUM = os.environ.get("SCREWPOSE_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+from tests.workbench.driving import CHROMIUM, FLAGS, Driver, Server
 
 
 @pytest.fixture(scope="session")
@@ -32,56 +24,6 @@ def workspace(simulated, tmp_path) -> Path:
     """A folder of cases with one in it, ``demo``."""
     shutil.copytree(simulated, tmp_path / "cases" / "demo")
     return tmp_path / "cases"
-
-
-class Server:
-    """`screwpose open` as a user starts it."""
-
-    def __init__(self, path: Path, *options: str) -> None:
-        command = [sys.executable, "-m", "screwpose", "open", str(path), "--no-browser", *options]
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        environment.pop("PYTEST_CURRENT_TEST", None)  # by which NiceGUI believes itself in its own tests
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
-        )
-        self.said: list[str] = []
-        for line in self.process.stdout:
-            self.said.append(line)
-            if re.match(r"http://\S+$", line):
-                self.address = line.strip()
-                break
-        else:
-            raise AssertionError(f"the server did not start: {''.join(self.said)}")
-        self.reader = threading.Thread(target=self._listen, daemon=True)
-        self.reader.start()
-
-    @property
-    def base(self) -> str:
-        """The address of the server without a page."""
-        return re.match(r"http://[^/]+", self.address)[0]
-
-    def _listen(self) -> None:
-        self.said.extend(self.process.stdout)
-
-    def kill(self) -> None:
-        """End it as a power cut would."""
-        self.process.kill()
-        self._ended()
-
-    def stop(self) -> None:
-        """End it as Ctrl-C does."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-            try:
-                self.process.wait(20)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-        self._ended()
-
-    def _ended(self) -> None:
-        self.process.wait()
-        self.reader.join()
-        self.process.stdout.close()
 
 
 @pytest.fixture

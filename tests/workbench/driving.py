@@ -1,14 +1,72 @@
-"""A tab, and what a person does in it."""
+"""A server as a user starts it, a tab on it, and what a person does there."""
 
 import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
+CHROMIUM = os.environ.get("SCREWPOSE_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )  # fmt: skip
 # What a page says when its server is killed, as tests do; and WebGL in software reading its pixels back.
 _EXPECTED = ("GL Driver Message", "WebSocket", "ERR_CONNECTION", "Failed to load resource")
+
+
+class Server:
+    """`screwpose open` as a user starts it."""
+
+    def __init__(self, path: Path, *options: str) -> None:
+        command = [sys.executable, "-m", "screwpose", "open", str(path), "--no-browser", *options]
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment.pop("PYTEST_CURRENT_TEST", None)  # by which NiceGUI believes itself in its own tests
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        )
+        self.said: list[str] = []
+        for line in self.process.stdout:
+            self.said.append(line)
+            if re.match(r"http://\S+$", line):
+                self.address = line.strip()
+                break
+        else:
+            raise AssertionError(f"the server did not start: {''.join(self.said)}")
+        self.reader = threading.Thread(target=self._listen, daemon=True)
+        self.reader.start()
+
+    @property
+    def base(self) -> str:
+        """The address of the server without a page."""
+        return re.match(r"http://[^/]+", self.address)[0]
+
+    def _listen(self) -> None:
+        self.said.extend(self.process.stdout)
+
+    def kill(self) -> None:
+        """End it as a power cut would."""
+        self.process.kill()
+        self._ended()
+
+    def stop(self) -> None:
+        """End it as Ctrl-C does."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(20)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+        self._ended()
+
+    def _ended(self) -> None:
+        self.process.wait()
+        self.reader.join()
+        self.process.stdout.close()
 
 
 class Driver:

@@ -52,6 +52,7 @@ def test_from_dropped_files_to_an_exported_result_that_is_the_command_lines(simu
     tab.page.locator(".scene canvas").wait_for()
     tab.go("Export")
     tab.button("Write the report").click()
+    tab.page.get_by_role("link", name="Get report.html").wait_for()
     with tab.page.expect_download() as download:
         tab.page.get_by_role("link", name="Get result.json").click()
     exported = json.loads(download.value.path().read_text())
@@ -122,10 +123,11 @@ def test_a_screw_is_moved_by_hand_scored_at_once_and_refined_from_there(workspac
     assert 0.05 < np.linalg.norm(held[:3, 3] - solved[:3, 3]) < 5.0
     np.testing.assert_allclose(held[:3, :3], solved[:3, :3], atol=1e-9)
     tab.button("Refine from here").click()
-    tab.page.wait_for_function("document.querySelector('.running') !== null")
-    tab.page.wait_for_function("document.querySelector('.running') === null")
+    tab.button("Cancel").wait_for()
+    tab.button("Cancel").wait_for(state="hidden")
     refined = np.array(result_in(workspace / "demo")["screws"][0]["world_from_cad"])
-    np.testing.assert_allclose(refined[:3, 3], solved[:3, 3], atol=0.05)
+    off_mm = [np.linalg.norm(one[:3, 3] - solved[:3, 3]) for one in (refined, held)]
+    assert off_mm[0] < 0.2 < off_mm[1]
     assert not side_of(workspace / "demo").get("by_hand")
 
 

@@ -55,7 +55,7 @@ class ReviewPanel:
             viewer.on("nudged", partial(self._nudged, view))
             viewer.on("turned", partial(self._turned, view))
             viewer.on("stepped", self._stepped)
-        self._job = ui.element("div").classes("job")
+        self._build_job()
         self._answer = ui.element("div").classes("answer")
         with ui.expansion("Overlay", icon="layers", value=False).classes("wide layers").props("dense"):
             with ui.row().classes("tools"):
@@ -81,7 +81,6 @@ class ReviewPanel:
         self._more = ui.element("div").classes("more")
         self._timer = ui.timer(0.25, self._tick)
         self._seen: Any = None
-        self._job_kind: Any = None
 
     def refresh(self) -> None:
         """Show the result as it is now."""
@@ -109,58 +108,56 @@ class ReviewPanel:
         if self._page.session.job is not None:
             self._show_job()
 
-    # ---- the job
+    # ---- the job: what is made anew while a hand is on its way to it is missed, so all of it is always there
+    def _build_job(self) -> None:
+        session = self._page.session
+        with ui.element("section").classes("card running").props('role="status"') as self._running:
+            self._title = ui.label().classes("heading")
+            self._bar = ui.linear_progress(value=0.0, show_value=False).props('aria-label="Progress"')
+            self._what = ui.label().classes("small")
+            self._left = ui.label().classes("muted small")
+            self._cancel = ui.button("Cancel", on_click=session.cancel).props("outline no-caps dense")
+        self._failed = ui.label().classes("problem").props('role="alert"')
+        self._cancelled = ui.label("The solve was cancelled; what was found before stays.").classes("muted")
+        with ui.element("section").classes("card interrupted").props('role="alert"') as self._interrupted:
+            ui.label("A solve was interrupted").classes("heading")
+            ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
+            with ui.row().classes("actions"):
+                self._again = ui.button("Solve again", on_click=self._solve_again).props("no-caps dense")
+                self._leave = ui.button("Leave it", on_click=lambda: session.change_side(job=None))
+                self._leave.props("flat no-caps dense")
+        self._state = ui.label().classes("stale")
+        self._solve = ui.button("Solve", on_click=lambda: session.solve(Begun())).props("no-caps").classes("wide")
+
+    def _solve_again(self) -> None:
+        asked = self._page.session.store.side.job
+        if asked is not None:
+            self._page.session.solve(asked)
+
     def _show_job(self) -> None:
-        """The part about solving: built anew where what it says changes in kind, else only moved on."""
-        session, page = self._page.session, self._page
+        session, may_edit = self._page.session, self._page.may_edit
         job = session.job
-        ready = bool(session.known.get("is_ready")) and page.may_edit
-        kind = (
-            None if job is None else job.state, ready, page.may_edit, session.is_solved, session.is_stale,
-            session.store.side.job is not None,
-        )  # fmt: skip
-        if kind != self._job_kind:
-            self._job_kind = kind
-            self._job.clear()
-            with self._job:
-                self._build_job(ready)
-        if job is not None and job.is_open:
+        is_open = job is not None and job.is_open
+        is_interrupted = session.store.side.job is not None and not is_open
+        self._running.set_visibility(is_open)
+        self._cancel.set_enabled(may_edit)
+        self._failed.set_visibility(job is not None and job.state == "failed")
+        self._cancelled.set_visibility(job is not None and job.state == "cancelled")
+        self._interrupted.set_visibility(is_interrupted)
+        self._again.set_enabled(may_edit)
+        self._leave.set_enabled(may_edit)
+        asks = not is_open and not is_interrupted and (not session.is_solved or session.is_stale)
+        self._state.set_visibility(asks)
+        self._state.set_text("The case was changed since it was solved." if session.is_solved else "Not solved yet.")
+        self._solve.set_visibility(asks)
+        self._solve.set_enabled(bool(session.known.get("is_ready")) and may_edit)
+        if job is not None:
             left = job.left_s
+            self._title.set_text("Solving" if job.state == "running" else "In the queue")
             self._bar.set_value(round(job.fraction, 3))
             self._what.set_text(job.what[:1].upper() + job.what[1:])
             self._left.set_text("" if left is None else f"about {max(left, 1.0):.0f} s left")
-
-    def _build_job(self, ready: bool) -> None:
-        session, page = self._page.session, self._page
-        job, interrupted = session.job, session.store.side.job
-        if job is not None and job.is_open:
-            with ui.element("section").classes("card running").props('role="status"'):
-                ui.label("Solving" if job.state == "running" else "In the queue").classes("heading")
-                self._bar = ui.linear_progress(value=0.0, show_value=False).props('aria-label="Progress"')
-                self._what = ui.label().classes("small")
-                self._left = ui.label().classes("muted small")
-                ui.button("Cancel", on_click=session.cancel).props("outline no-caps dense").set_enabled(page.may_edit)
-            return
-        if job is not None and job.state == "failed":
-            ui.label(f"The solve failed: {job.problem}").classes("problem").props('role="alert"')
-        if job is not None and job.state == "cancelled":
-            ui.label("The solve was cancelled; what was found before stays.").classes("muted").props('role="status"')
-        if interrupted is not None:
-            with ui.element("section").classes("card running").props('role="alert"'):
-                ui.label("A solve was interrupted").classes("heading")
-                ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
-                with ui.row().classes("actions"):
-                    again = ui.button("Solve again", on_click=lambda: session.solve(interrupted)).props("no-caps dense")
-                    leave = ui.button("Leave it", on_click=lambda: session.change_side(job=None)).props(
-                        "flat no-caps dense"
-                    )
-                    again.set_enabled(page.may_edit)
-                    leave.set_enabled(page.may_edit)
-        elif not session.is_solved or session.is_stale:
-            words = "The case was changed since it was solved." if session.is_solved else "Not solved yet."
-            ui.label(words).classes("stale" if session.is_solved else "muted")
-            name = "Solve again" if session.is_solved else "Solve"
-            ui.button(name, on_click=lambda: session.solve(Begun())).props("no-caps").classes("wide").set_enabled(ready)
+            self._failed.set_text(f"The solve failed: {job.problem}")
 
     # ---- the answer
     def _show_answer(self, data: dict[str, Any]) -> None:
