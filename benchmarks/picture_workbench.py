@@ -13,10 +13,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.workbench.driving import CHROMIUM, FLAGS, Driver, Server
-
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
+from tests.workbench.driving import CHROMIUM, FLAGS, Driver, Server
 
 
 def shoot(tab: Driver, out: Path, name: str) -> None:

@@ -18,12 +18,13 @@ from time import perf_counter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.workbench.driving import CHROMIUM, FLAGS, Driver, Server, case_in
+from rich.console import Console
 
 from screwpose.files import write_json
 from screwpose.files.case import read_case
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
+from tests.workbench.driving import CHROMIUM, FLAGS, Driver, Server, case_in
 
 READS_S, AIMS_S, LOOKS_S = 3.0, 1.8, 8.0
 
@@ -39,7 +40,10 @@ def walk(place: Path, tab: Driver) -> dict[str, float]:
     files += [place / "calibration_ap.txt", place / "calibration_lat.txt"]
     times = {}
     start = perf_counter()
-    pause = lambda seconds: tab.page.wait_for_timeout(1000 * seconds)  # noqa: E731 - a word for a sentence below
+
+    def pause(seconds: float) -> None:
+        tab.page.wait_for_timeout(1000 * seconds)
+
     pause(READS_S)
     tab.give_files(*files)
     tab.page.wait_for_url("**/case/*")
@@ -92,7 +96,7 @@ def main(out: Path) -> None:
             server.stop()
     record = {"seconds": times, "cpus": os.cpu_count(), "load": os.getloadavg()[0], "python": platform.python_version()}
     write_json(out / "workbench_way.json", record)
-    print(json.dumps(record, indent=2))  # noqa: T201
+    Console().print_json(json.dumps(record))
 
 
 if __name__ == "__main__":

@@ -96,7 +96,6 @@ def test_a_pairing_that_is_held_to_is_the_answer_and_says_how_unlikely_it_is(wor
     assert by_id[2].pre.dice == pytest.approx(first.combinations[1].pre.dice, abs=1e-9)
     TASKS["solve"](silent, str(folder), [dict(one) for one in first.pairing.pairs], [], None)
     third = read_solved(folder / "result").answer
-    assert third.status == first.status
     for one, own in zip(third.screws, first.screws, strict=True):
         np.testing.assert_allclose(one.world_from_cad, own.world_from_cad, atol=1e-3)
 
@@ -131,7 +130,8 @@ def test_moves_by_hand_do_what_they_say(simulated):
     assert rigid.angle_between_rad(rolled[:3, 0], pose[:3, 0]) > 0.1
     (tilted_tip, tilted_center), _ = after(tilt=2.0)
     np.testing.assert_allclose(tilted_tip, tip, atol=1e-9)
-    assert np.degrees(rigid.angle_between_rad(tilted_center - tip, center - tip)) == pytest.approx(2.0, abs=0.6)
+    before, now = (np.append(camera.project(one) - camera.project(tip), 0.0) for one in (center, tilted_center))
+    assert np.degrees(rigid.angle_between_rad(before, now)) == pytest.approx(2.0, abs=0.1)
     with pytest.raises(InputError, match="further than any hand"):
         after(along=1e6)
 

@@ -22,6 +22,7 @@ _STATUS_ICONS = {
 }
 # What a key does to the chosen screw: `reviewing.nudge`'s move.
 _TURNS = {"r": ("roll", 1.0), "t": ("tilt", 0.2), "a": ("along", 0.1), "d": ("away", 0.1)}
+_TIMES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _ELLIPSE_PX = 14.0  # about how large an ellipse is drawn: an error of a hundredth of a mm is no pixel wide
 
 
@@ -337,12 +338,12 @@ class ReviewPanel:
             )
             if is_answer and session.live is not None:
                 shadows = session.live["shadows"][view]
-            ellipses = [] if not is_answer or session.live else [_ellipse(one, view, shadows) for one in data["screws"]]
+            ellipses = [] if not is_answer or session.live else _ellipses(data["screws"], view, shadows)
             marked = session.store.draft["annotations"].get(view, [])
             viewer.set(
                 outlines=[{key: one[key] for key in ("name", "color", "dash", "paths")} for one in shadows],
                 metal=data["metal"].get(view, []),
-                ellipses=[one for one in ellipses if one],
+                ellipses=ellipses,
                 marks=[{**{k: one[k] for k in ("label", "tip", "center")}, "color": "#ffffff"} for one in marked],
                 selected=name,
                 layers=dict(self._layers),
@@ -417,12 +418,12 @@ class ReviewPanel:
         self._page.session.change_side(by_hand=())
 
 
-def _ellipse(screw: dict[str, Any], view: str, shadows: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """A tip's ellipse where its model's tip is seen, enlarged until it can be."""
-    path = screw["ellipses"].get(view)
-    tip = next((one["tip"] for one in shadows if one["name"] == screw["name"]), None)
-    if not path or tip is None:
-        return None
-    largest = max(abs(x) for x in path) or 1.0
-    times = next((n for n in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if n * largest >= _ELLIPSE_PX), 1000)
-    return {"path": path, "at": tip, "times": times, "color": screw["color"]}
+def _ellipses(screws: list[dict[str, Any]], view: str, shadows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The tips' ellipses where their models' tips are seen, all enlarged alike until the largest can be seen."""
+    tips = {one["name"]: one["tip"] for one in shadows}
+    seen = [one for one in screws if view in one["ellipses"] and tips.get(one["name"]) is not None]
+    largest = max((abs(x) for one in seen for x in one["ellipses"][view]), default=1.0)
+    times = next((n for n in _TIMES if n * largest >= _ELLIPSE_PX), _TIMES[-1])
+    return [
+        {"path": one["ellipses"][view], "at": tips[one["name"]], "times": times, "color": one["color"]} for one in seen
+    ]

@@ -9,7 +9,7 @@ from nicegui import events, ui
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
 
-_VIEW_AWAY = 3.4  # radii of what is shown, from its middle to the eye
+_VIEW_AWAY = 4.8  # radii of what is shown, from its middle to the eye
 _LINE = "#8aa0b5"
 
 

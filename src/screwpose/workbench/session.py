@@ -202,9 +202,10 @@ class Session:
         before = self.store.side.choice
         solver_pairs = before.solver_pairs if before is not None else tuple(by_id[self.reviewed["chosen"]])
         pairs = tuple(by_id[number])
-        own = Choice(pairs=pairs, solver_pairs=solver_pairs, reason=reason, when=when)
-        is_solvers = {frozenset(one.items()) for one in pairs} == {frozenset(one.items()) for one in solver_pairs}
-        self.solve(Begun(pairs=pairs, choice=None if is_solvers else own))
+        if {frozenset(one.items()) for one in pairs} == {frozenset(one.items()) for one in solver_pairs}:
+            self.solve(Begun())  # the solver's own again, judged among all others
+            return
+        self.solve(Begun(pairs=pairs, choice=Choice(pairs=pairs, solver_pairs=solver_pairs, reason=reason, when=when)))
 
     def refine_from_here(self) -> None:
         """Register anew from where the screws were put by hand."""

@@ -266,11 +266,11 @@ export default {
       }
       if (layers.ellipses !== false) for (const one of s.ellipses) {
         draw.beginPath();
-        const reach = Math.max(...one.path.map(Math.abs)) * one.times || 1;
         path(one.path.map((x, k) => one.at[k % 2] + x * one.times));
         draw.strokeStyle = one.color; draw.lineWidth = 1.5 * unit; draw.stroke();
-        if (!inLoupe) this.text(draw, to([one.at[0] + reach, one.at[1]]), `\u03c3 \u00d7${one.times}`, one.color, 11);
       }
+      if (layers.ellipses !== false && s.ellipses.length && !inLoupe)
+        this.text(draw, [12 * unit, this.$refs.over.height - 14 * unit], `Ellipses: expected errors of the tips, \u00d7${s.ellipses[0].times}`, "#ffffff", 12);
       if (this.line && s.mode === "mark" && s.epipolar[this.line.view]) this.epipolarLine(draw, to, s.epipolar[this.line.view]);
       if (layers.marks !== false) this.marks(draw, to, unit, inLoupe);
       if (this.trail) {
@@ -288,13 +288,11 @@ export default {
       const { width, height } = this.$refs.over, layer = (this.sheet ??= document.createElement("canvas"));
       const fill = (shapes, color, how) => {
         pen.globalCompositeOperation = how; pen.fillStyle = color; pen.beginPath();
-        const old = draw;
         shapes.forEach((flat) => {
           for (let k = 0; k < flat.length; k += 2) { const [x, y] = this.toScreen([flat[k], flat[k + 1]]); k ? pen.lineTo(x, y) : pen.moveTo(x, y); }
           pen.closePath();
         });
         pen.fill("evenodd");
-        return old;
       };
       layer.width = width; layer.height = height;
       const pen = layer.getContext("2d"), models = this.state.outlines.map((one) => one.paths);
@@ -350,7 +348,12 @@ export default {
           draw.beginPath(); draw.rect(point[0] - 13 * unit, point[1] - 13 * unit, 26 * unit, 26 * unit);
           draw.setLineDash([4 * unit, 4 * unit]); stroke("#ffffff", unit); draw.setLineDash([]);
         }
-        if (!inLoupe) this.text(draw, [t[0] + (c && c[0] > t[0] ? -20 : 14) * unit, t[1] + 16 * unit], one.label, one.color, 14);
+        if (!inLoupe) { // beyond the tip, where no metal is
+          const away = c ? [t[0] - c[0], t[1] - c[1]] : [1, 1], long = Math.hypot(...away) || 1;
+          draw.textAlign = "center"; draw.textBaseline = "middle";
+          this.text(draw, [t[0] + (22 * unit * away[0]) / long, t[1] + (22 * unit * away[1]) / long], one.label, one.color, 14);
+          draw.textAlign = "start"; draw.textBaseline = "alphabetic";
+        }
       }
     },
     text(draw, [x, y], words, color, size) {
