@@ -86,7 +86,11 @@ def frames(tab: Driver) -> dict[str, float]:
             window.screwposeViewers.AP.times.length = 0;
             window.gaps = [];
             let last = performance.now();
-            const tick = (now) => { window.gaps.push(now - last); last = now; window.ticking = requestAnimationFrame(tick); };
+            const tick = (now) => {
+                window.gaps.push(now - last);
+                last = now;
+                window.ticking = requestAnimationFrame(tick);
+            };
             window.ticking = requestAnimationFrame(tick);
         }"""
     )

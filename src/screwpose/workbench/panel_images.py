@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
 
 _POLARITIES = {"auto": "found out from the image", "metal-dark": "metal is dark", "metal-bright": "metal is bright"}
+_UNITS = ["mm", "cm", "m", "inch"]
 _FORMS = (
     "12 numbers: the 3 x 4 matrix P, row by row. Or 9 numbers (intrinsics K) and 12 or 16 (pose [R | t], world to "
     'camera, mm). Or JSON: {"projection": ...} or {"K": ..., "R": ..., "t": ...}.'
@@ -101,9 +102,10 @@ class ImagesPanel:
                     "empty"
                 )
             if "image" in entry:
-                ui.label(entry["image"]).classes("muted small")
+                ui.label(str(entry["image"])).classes("muted small")
+                polarity = entry.get("polarity", "auto")
                 ui.select(
-                    _POLARITIES, value=entry.get("polarity", "auto"), label="Polarity",
+                    _POLARITIES, value=polarity if polarity in _POLARITIES else "auto", label="Polarity",
                     on_change=lambda e: self._edit(
                         drafts.with_view_key(session.store.draft, view, "polarity", e.value)
                     ),
@@ -132,8 +134,9 @@ class ImagesPanel:
                     if self._page.may_edit:
                         icon_button("delete_outline", f"Remove {name}", partial(self._remove_model, name))
                 with ui.row().classes("landmarks"):
+                    unit = model.get("unit", "mm")
                     ui.select(
-                        ["mm", "cm", "m", "inch"], value=model.get("unit", "mm"), label="Unit",
+                        _UNITS, value=unit if unit in _UNITS else "mm", label="Unit",
                         on_change=lambda e, n=name: self._model_key(n, "unit", e.value),
                     ).props("dense outlined").set_enabled(self._page.may_edit)  # fmt: skip
                     for key, word in (("tip", "Tip, mm"), ("center", "Centre, mm")):

@@ -129,7 +129,7 @@ class MarkPanel:
                         label.on("change", partial(self._rename, view, one["label"]))
                         model = ui.select(
                             {None: "any model", **{name: name for name in models}},
-                            value=one.get("model"),
+                            value=one.get("model") if one.get("model") in models else None,
                             on_change=partial(self._set_model, view, one["label"]),
                         )
                         named(model.props("dense borderless").classes("grow"), f"Model of {view} {one['label']}")

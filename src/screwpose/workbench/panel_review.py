@@ -42,9 +42,8 @@ class ReviewPanel:
             "ellipses": True,
             "mask": False,
         }
-        self._poses: list[Any] | None = None
         self._start: list[Any] | None = None
-        self._waiting: dict[str, Any] | None = None
+        self._waiting: list[dict[str, Any]] = []
         self._busy = False
 
     # ---- the page
@@ -97,7 +96,7 @@ class ReviewPanel:
         )
         if data is not None and stamp != self._seen:
             if self._seen is None or self._seen[0] != stamp[0]:
-                self._poses, self._shown = None, None
+                self._shown = None
             self._seen = stamp
             self._show_answer(data)
             self._show_screws(data)
@@ -371,34 +370,36 @@ class ReviewPanel:
         await self._move(view, {key: -step if event.args["back"] else step}, True)
 
     async def _move(self, view: str, move: dict[str, float], done: bool) -> None:
-        """Move the chosen screw from where the hand took it up; while one move is computed only the last one waits."""
+        """Move the chosen screw. A drag is told from where it began, so that of its moves only the last one counts."""
         session, page = self._page.session, self._page
         if session.reviewed is None or page.screw is None or not page.may_edit:
             return
-        self._waiting = {"view": view, "move": move, "done": done}
+        if self._waiting and not self._waiting[-1]["done"]:
+            self._waiting.pop()
+        self._waiting.append({"view": view, "move": move, "done": done})
         if self._busy:
             return
         self._busy = True
         try:
-            while self._waiting is not None:
-                asked, self._waiting = self._waiting, None
-                start = self._start or self._now()
-                self._start = start
-                moved = await session.ask(
-                    "nudge", poses=start, index=page.screw, view=asked["view"], move=asked["move"]
-                )
-                if asked["done"]:
-                    self._start = None
-                if moved is None:
-                    continue
-                session.live = moved
-                self._overlay()
-                if asked["done"]:
-                    session.put_by_hand(moved["poses"])
-                else:
-                    self._live.set_text(self._live_words())
+            while self._waiting:
+                await self._moved(self._waiting.pop(0))
         finally:
             self._busy = False
+
+    async def _moved(self, asked: dict[str, Any]) -> None:
+        session, page = self._page.session, self._page
+        self._start = self._start or self._now()
+        moved = await session.ask("nudge", poses=self._start, index=page.screw, view=asked["view"], move=asked["move"])
+        if asked["done"]:
+            self._start = None
+        if moved is None:
+            return
+        session.live = moved
+        if asked["done"] and not self._waiting:
+            session.put_by_hand(moved["poses"])  # which has every tab refreshed
+        else:
+            self._live.set_text(self._live_words())
+            self._overlay()
 
     def _now(self) -> list[Any]:
         session = self._page.session

@@ -144,10 +144,15 @@ def _read_draft(file: Path) -> Draft:
     data = read_json(file)
     if not isinstance(data, dict):
         raise CaseError("the file holds no object", file=file, expected="a case, as docs/files.md describes it")
-    parts: Draft = {key: data.get(key) if isinstance(data.get(key), dict) else {} for key in ("views", "models")}
+    parts = {key: _objects(data.get(key)) for key in ("views", "models")}
     lists = data.get("annotations") if isinstance(data.get("annotations"), dict) else {}
     marks = {view: [one for one in ones if _is_mark(one)] for view, ones in (lists or {}).items() if _is_list(ones)}
     return {**data, **parts, "annotations": marks}
+
+
+def _objects(value: Any) -> Draft:
+    """Of named objects those that are: the rest is for `check` to name."""
+    return {key: one for key, one in value.items() if isinstance(one, dict)} if isinstance(value, dict) else {}
 
 
 def _is_list(value: Any) -> bool:
