@@ -20,9 +20,10 @@ from screwpose.pairing.cameras import CameraMode, with_sigmas
 from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge, judged_again
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
+from screwpose.pairing.holding import held_combination
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
 from screwpose.pairing.plausibility import check_plausibility
-from screwpose.pairing.ranking import held_combination, ranked_pairings
+from screwpose.pairing.ranking import ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
 from screwpose.registration import Progress, SearchOptions

@@ -1,13 +1,13 @@
 """Solve and review: the job, the combinations, the screws, and what lies over the X-rays."""
 
-from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from nicegui import events, ui
 
+from screwpose.workbench.panel_combinations import CombinationTable
+from screwpose.workbench.panel_job import JobCard
 from screwpose.workbench.panel_mark import window_controls
-from screwpose.workbench.side_file import Begun
 
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
@@ -45,6 +45,8 @@ class ReviewPanel:
         self._start: list[Any] | None = None
         self._waiting: list[dict[str, Any]] = []
         self._busy = False
+        self._job = JobCard(page)
+        self._table = CombinationTable(page, self._show)
 
     # ---- the page
     def build(self) -> None:
@@ -55,7 +57,7 @@ class ReviewPanel:
             viewer.on("nudged", partial(self._nudged, view))
             viewer.on("turned", partial(self._turned, view))
             viewer.on("stepped", self._stepped)
-        self._build_job()
+        self._job.build()
         self._answer = ui.element("div").classes("answer")
         with ui.expansion("Overlay", icon="layers", value=False).classes("wide layers").props("dense"):
             with ui.row().classes("tools"):
@@ -77,14 +79,14 @@ class ReviewPanel:
             window_controls(self._page)
         self._screws = ui.element("div").classes("screws")
         self._build_hand()
-        self._table = ui.element("div").classes("combinations")
+        self._table.build()
         self._more = ui.element("div").classes("more")
         self._timer = ui.timer(0.25, self._tick)
         self._seen: Any = None
 
     def refresh(self) -> None:
         """Show the result as it is now."""
-        self._show_job()
+        self._job.refresh()
         data = self._page.session.reviewed
         stamp = (
             id(data),
@@ -100,64 +102,13 @@ class ReviewPanel:
             self._seen = stamp
             self._show_answer(data)
             self._show_screws(data)
-            self._show_table(data)
+            self._table.refresh(data, self._shown or data["chosen"])
         self._show_hand()
         self._overlay()
 
     def _tick(self) -> None:
         if self._page.session.job is not None:
-            self._show_job()
-
-    # ---- the job: what is made anew while a hand is on its way to it is missed, so all of it is always there
-    def _build_job(self) -> None:
-        session = self._page.session
-        with ui.element("section").classes("card running").props('role="status"') as self._running:
-            self._title = ui.label().classes("heading")
-            self._bar = ui.linear_progress(value=0.0, show_value=False).props('aria-label="Progress"')
-            self._what = ui.label().classes("small")
-            self._left = ui.label().classes("muted small")
-            self._cancel = ui.button("Cancel", on_click=session.cancel).props("outline no-caps dense")
-        self._failed = ui.label().classes("problem").props('role="alert"')
-        self._cancelled = ui.label("The solve was cancelled; what was found before stays.").classes("muted")
-        with ui.element("section").classes("card interrupted").props('role="alert"') as self._interrupted:
-            ui.label("A solve was interrupted").classes("heading")
-            ui.label("The workbench ended while it ran. Nothing else was lost.").classes("small")
-            with ui.row().classes("actions"):
-                self._again = ui.button("Solve again", on_click=self._solve_again).props("no-caps dense")
-                self._leave = ui.button("Leave it", on_click=lambda: session.change_side(job=None))
-                self._leave.props("flat no-caps dense")
-        self._state = ui.label().classes("stale")
-        self._solve = ui.button("Solve", on_click=lambda: session.solve(Begun())).props("no-caps").classes("wide")
-
-    def _solve_again(self) -> None:
-        asked = self._page.session.store.side.job
-        if asked is not None:
-            self._page.session.solve(asked)
-
-    def _show_job(self) -> None:
-        session, may_edit = self._page.session, self._page.may_edit
-        job = session.job
-        is_open = job is not None and job.is_open
-        is_interrupted = session.store.side.job is not None and not is_open
-        self._running.set_visibility(is_open)
-        self._cancel.set_enabled(may_edit)
-        self._failed.set_visibility(job is not None and job.state == "failed")
-        self._cancelled.set_visibility(job is not None and job.state == "cancelled")
-        self._interrupted.set_visibility(is_interrupted)
-        self._again.set_enabled(may_edit)
-        self._leave.set_enabled(may_edit)
-        asks = not is_open and not is_interrupted and (not session.is_solved or session.is_stale)
-        self._state.set_visibility(asks)
-        self._state.set_text("The case was changed since it was solved." if session.is_solved else "Not solved yet.")
-        self._solve.set_visibility(asks)
-        self._solve.set_enabled(bool(session.known.get("is_ready")) and may_edit)
-        if job is not None:
-            left = job.left_s
-            self._title.set_text("Solving" if job.state == "running" else "In the queue")
-            self._bar.set_value(round(job.fraction, 3))
-            self._what.set_text(job.what[:1].upper() + job.what[1:])
-            self._left.set_text("" if left is None else f"about {max(left, 1.0):.0f} s left")
-            self._failed.set_text(f"The solve failed: {job.problem}")
+            self._job.refresh()
 
     # ---- the answer
     def _show_answer(self, data: dict[str, Any]) -> None:
@@ -223,82 +174,6 @@ class ReviewPanel:
             return ""
         views = ", ".join(f"{name} {one['dice']:.3f} / {one['loss']:.3f}" for name, one in live["views"].items())
         return f"By hand: Dice {live['dice']:.3f}, loss {live['loss']:.3f} ({views})"
-
-    def _show_table(self, data: dict[str, Any]) -> None:
-        choice = self._page.session.store.side.choice
-        keys = [one["key"] for one in data["columns"]]
-        self._table.clear()
-        with self._table:
-            if not data["combinations"]:
-                return
-            ui.label("Combinations (upper line before, lower line after registration)").classes("group")
-            with ui.element("table").props('aria-label="Combinations"'):
-                with ui.element("thead"), ui.element("tr"):
-                    for words in (
-                        "",
-                        "Pairs",
-                        "Prob.",
-                        "Dice",
-                        "Loss",
-                        *([f"{v} loss" for v in self._page.viewers]),
-                        "",
-                    ):
-                        with ui.element("th").props("scope=col"):
-                            ui.label(words)
-                for one in data["combinations"]:
-                    self._rows_of(data, one, dict(zip(keys, one["cells"], strict=True)), choice)
-
-    def _rows_of(self, data: dict[str, Any], one: dict[str, Any], cells: dict[str, str], choice: Any) -> None:
-        chosen = one["id"] == data["chosen"]
-        shown = one["id"] == (self._shown or data["chosen"])
-        with ui.element("tbody").classes(f"{'chosen' if chosen else ''} {'shown' if shown else ''}"):
-            for stage, words in (("pre", "before"), ("post", "after")):
-                with ui.element("tr"):
-                    if stage == "pre":
-                        with ui.element("td").props("rowspan=2"):
-                            ui.radio(
-                                {one["id"]: ""},
-                                value=one["id"] if shown else None,
-                                on_change=partial(self._show, one["id"]),
-                            ).props(f'dense aria-label="Show combination {one["id"]}"')
-                        with ui.element("td").props("rowspan=2"):
-                            for pair in one["pairs"]:
-                                ui.label(" = ".join(pair.values())).classes("pair-words")
-                        with ui.element("td").props("rowspan=2"):
-                            ui.label(cells.get("probability", "-"))
-                    for key in ("dice", "loss", *(f"loss_{view}" for view in self._page.viewers)):
-                        with ui.element("td").classes("number"):
-                            ui.label(cells.get(f"{stage}_{key}", "-")).props(f'title="{words} registration"')
-                    if stage == "pre":
-                        with ui.element("td").props("rowspan=2"):
-                            if chosen:
-                                ui.label("yours" if choice else "chosen").classes("badge")
-                            elif self._page.may_edit:
-                                ui.button("Choose", on_click=partial(self._ask_reason, one["id"])).props(
-                                    "outline dense no-caps"
-                                ).mark(f"choose-{one['id']}")
-
-    # ---- choosing
-    def _ask_reason(self, number: int) -> None:
-        data = self._page.session.reviewed
-        assert data is not None
-        with ui.dialog(value=True) as dialog, ui.card().classes("dialog"):
-            ui.label(f"Choose combination {number}").classes("heading")
-            ui.label("It is registered anew, and kept as your choice. Why is it right?").classes("muted small")
-            reason = ui.input("Reason").props("outlined autofocus maxlength=500").classes("wide").mark("reason")
-
-            def choose() -> None:
-                words = str(reason.value or "").strip()
-                if not words:
-                    ui.notify("A word of reason is needed: others will read the result.", type="negative")
-                    return
-                dialog.close()
-                self._page.session.choose(number, words, f"{datetime.now().astimezone():%Y-%m-%d %H:%M}")
-
-            reason.on("keydown.enter", choose)
-            with ui.row().classes("actions"):
-                ui.button("Cancel", on_click=dialog.close).props("flat no-caps")
-                ui.button("Choose it", on_click=choose).props("no-caps")
 
     def _show(self, number: int) -> None:
         self._shown = number
