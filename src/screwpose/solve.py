@@ -1,6 +1,6 @@
 """The whole job: from a case to its result."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field, replace
 from threading import Lock
 from time import perf_counter
@@ -20,10 +20,11 @@ from screwpose.pairing.cameras import CameraMode, with_sigmas
 from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge, judged_again
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
-from screwpose.pairing.holding import held_combination
+from screwpose.pairing.holding import HeldScrew, begun_poses, held_combination
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
+from screwpose.pairing.image_evidence import log_odds_of_pairs
 from screwpose.pairing.plausibility import check_plausibility
-from screwpose.pairing.ranking import ranked_pairings
+from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
 from screwpose.registration import Progress, SearchOptions
@@ -44,20 +45,8 @@ _FEW_SCREWS = 3
 # By the landmarks alone. A wrong combination's screws seldom explain the X-rays: to let them begin again in other ways
 # took half the time of a case, and of 72 development cases none was right with less than 0.4.
 _HOPELESS = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class HeldScrew:
-    """A screw of the pairing that a person holds to.
-
-    Parameters
-    ----------
-    labels : its label in each view that shows it.
-    world_from_cad : (4, 4), where its registration begins; None: on its landmarks.
-    """
-
-    labels: Mapping[str, str]
-    world_from_cad: FloatArray | None = None
+# Combinations of many screws that are more probable than this are registered too.
+_OPEN = 0.005
 
 
 @dataclass(frozen=True)
@@ -70,7 +59,8 @@ class SolveOptions:
     noise : how exactly the landmarks were marked.
     faces : triangles that a model is reduced to for the searches; None for the CAD as it is.
     combinations : at most so many are placed and scored.
-    registered : at most so many of them are registered; all, where there are no more than 3 screws.
+    registered : so many of them are registered; all, where there are no more than 3 screws; and by thickness also each
+        that the landmarks leave open, with half a percent or more.
     refinement : how screws are registered; None: as in the paper for `paper` and `epipolar`, else by thickness.
     search : bounds, budget and seed of the evolution. No generations: whatever the refinement, nothing is registered.
     engine : how masks are drawn; None: as in the paper for `paper`, else the fast one.
@@ -135,8 +125,9 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     evidence = _gathered(case, options)
     placed = _placed(evidence, ranked, _within(tell, 0.02, 0.15))
     if options.held is not None:
-        begun = {tuple(one.labels.items()): one.world_from_cad for one in options.held}
-        placed = [_begun(combination, poses, begun) for combination, poses in zip(ranked, placed, strict=True)]
+        placed = [
+            begun_poses(combination, poses, options.held) for combination, poses in zip(ranked, placed, strict=True)
+        ]
     evidence = with_metal(evidence, case, list(zip(ranked, placed, strict=True)))
     if options.held is not None:  # the others say which metal counts, as where nothing is held, and no more
         ranked, placed = ranked[:1], placed[:1]
@@ -148,7 +139,7 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     clock.lap("pairing")
 
     if options.search.generations > 0:
-        trials, excuses = _registered(case, evidence, trials, options, _within(tell, 0.2, 0.97))
+        trials, ranking, excuses = _registered(case, evidence, trials, ranking, options, _within(tell, 0.2, 0.97))
         warnings += excuses
     else:
         trials = sorted(trials, key=_ORDERS[options.method])
@@ -160,7 +151,6 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
         return refused(case, confidence.reasons, clock.read("judging"))
     if warnings and confidence.status == "confident":
         confidence = replace(confidence, status="ambiguous")
-    ranking = ranking.with_probabilities({trial.combination: trial.probability for trial in trials})
     why = why_open(case, options.noise, ranking) if confidence.probability < CONFIDENT_PROBABILITY else None
     if why is not None:
         confidence = replace(confidence, reasons=(*confidence.reasons, why))
@@ -188,14 +178,6 @@ def _placed(evidence: Evidence, ranked: list[Combination], tell: Progress) -> li
     return [tuple(poses[hypothesis][0] for hypothesis in one.hypotheses) for one in ranked]
 
 
-def _begun(
-    combination: Combination, poses: Poses, begun: Mapping[tuple[tuple[str, str], ...], FloatArray | None]
-) -> Poses:
-    """The poses, those in their place that a person gave."""
-    given = [begun.get(hypothesis.labels) for hypothesis in combination.hypotheses]
-    return tuple(pose if own is None else own for pose, own in zip(poses, given, strict=True))
-
-
 def _refinement(options: SolveOptions) -> Refinement:
     return options.refinement or ("thickness" if options.method == "default" else "evolution")
 
@@ -204,21 +186,23 @@ def _promising(trials: list[Trial], options: SolveOptions) -> list[Trial]:
     """Those that are worth registering: all, where there are few screws."""
     few = all(len(trial.combination.hypotheses) <= _FEW_SCREWS for trial in trials)
     count = len(trials) if few else min(options.registered, len(trials))
+    if _refinement(options) == "thickness":  # they share most of their pairs, which are registered once
+        count = max(count, sum(trial.probability > _OPEN for trial in trials))
     return sorted(trials, key=_PROMISING[options.method])[:count]
 
 
 def _registered(
-    case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
-) -> tuple[list[Trial], list[str]]:
-    """The trials in the method's order, the most promising of them registered; and why it was not done as asked, if it
-    was not."""
+    case: Case, evidence: Evidence, trials: list[Trial], ranking: Ranking, options: SolveOptions, tell: Progress
+) -> tuple[list[Trial], Ranking, list[str]]:
+    """The trials in the method's order, the most promising of them registered; what is then known of all pairings; and
+    why it was not done as asked, if it was not."""
     if _refinement(options) == "evolution":
-        return _registered_by_evolution(evidence, trials, options, tell), []
+        return _registered_by_evolution(evidence, trials, options, tell), ranking, []
     try:
-        return _registered_by_thickness(case, evidence, trials, options, tell), []
+        return *_registered_by_thickness(case, evidence, trials, ranking, options, tell), []
     except MeshError as error:
         excuse = f"registered by silhouettes, since a model has no thickness: {error}"
-        return _registered_by_evolution(evidence, trials, options, tell), [excuse]
+        return _registered_by_evolution(evidence, trials, options, tell), ranking, [excuse]
 
 
 def _registered_by_evolution(
@@ -236,10 +220,10 @@ def _registered_by_evolution(
 
 
 def _registered_by_thickness(
-    case: Case, evidence: Evidence, trials: list[Trial], options: SolveOptions, tell: Progress
-) -> list[Trial]:
+    case: Case, evidence: Evidence, trials: list[Trial], ranking: Ranking, options: SolveOptions, tell: Progress
+) -> tuple[list[Trial], Ranking]:
     """The trials in the method's order: the most promising of them registered by thickness, all judged again by their
-    marks, and the first settled."""
+    marks and by what they explain, the first of them settled; and the ranking, judged again."""
     promising = _promising(trials, options)
     centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
     thickness = prepare_thickness(case, np.mean(centers, axis=0))
@@ -267,26 +251,68 @@ def _registered_by_thickness(
         held = first.found.world_from_cad if first.quality.cameras is None else first.quality.cameras.held
         known.update(zip(first.combination.hypotheses, held, strict=True))
     done += in_threads(registered, range(len(done), len(promising)), together.give_up)
-    done += [trial for trial in trials if trial not in promising]
-    marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in done]
-    again = judged_again(np.array([trial.probability for trial in done]), *np.array(marks).T)
-    judged = [replace(trial, probability=float(probability)) for trial, probability in zip(done, again, strict=True)]
-    chosen, *others = sorted(judged, key=_ORDERS[options.method])
-    assert chosen.found is not None
-    assert chosen.quality is not None
-    found, quality = settle_by_thickness(
-        case,
-        thickness,
-        chosen.combination,
-        chosen.found,
-        options.noise,
-        _within(tell, 0.7, 1.0),
-        chosen.quality.cameras,
+    ranking = _judged_by_marks([*done, *(trial for trial in trials if trial not in promising)], ranking)
+    within = _within(tell, 0.7, 1.0)
+
+    def settled(trial: Trial) -> Trial:
+        assert trial.found is not None
+        assert trial.quality is not None
+        found, quality = settle_by_thickness(
+            case, thickness, trial.combination, trial.found, options.noise, within, trial.quality.cameras
+        )
+        seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
+        return replace(trial, found=found, post=score(seen, trial.combination, found.world_from_cad), quality=quality)
+
+    # What is not settled explains too little to be held against it: so the first by the marks is settled, and whatever
+    # is then more probable.
+    chosen = min(done, key=_by_chi_square)
+    at_rest: dict[Combination, Trial] = {}
+    while chosen.combination not in at_rest:
+        at_rest[chosen.combination] = settled(chosen)
+        within = _tell_nobody  # that it goes on is told once; a second one is seldom
+        done = [at_rest.get(trial.combination, trial) for trial in done]
+        weighed = _weighed_by_images(done, ranking, at_rest)
+        chosen = max(done, key=lambda trial: weighed.probability_of(trial.combination))
+    others = [trial for trial in trials if trial not in promising] + [trial for trial in done if trial is not chosen]
+    others = [replace(trial, probability=weighed.probability_of(trial.combination)) for trial in others]
+    chosen = replace(chosen, probability=weighed.probability_of(chosen.combination))
+    if options.held is None:  # a person's pairs are the answer, however open they are
+        chosen = _without_open_pairs(evidence, chosen, weighed)
+    return [chosen, *sorted(others, key=_ORDERS[options.method])], weighed
+
+
+def _judged_by_marks(trials: list[Trial], ranking: Ranking) -> Ranking:
+    """What is known of all pairings once the marks of some are seen beside their registered models."""
+    marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in trials]
+    again = judged_again(np.array([trial.probability for trial in trials]), *np.array(marks).T)
+    return ranking.with_probabilities(
+        {trial.combination: float(probability) for trial, probability in zip(trials, again, strict=True)}
     )
-    seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
-    post = score(seen, chosen.combination, found.world_from_cad)
-    # It stays the first, whatever its scores are now: the others were not settled, and are not to be compared with it.
-    return [replace(chosen, found=found, post=post, quality=quality), *others]
+
+
+def _weighed_by_images(trials: list[Trial], ranking: Ranking, at_rest: Container[Combination]) -> Ranking:
+    """The ranking with what the registered pairs explain; that of those not settled counts only in their favour."""
+    seen = [
+        (one.combination.hypotheses, one.quality.energies, one.combination in at_rest) for one in trials if one.quality
+    ]
+    settled = log_odds_of_pairs((pairs, energies) for pairs, energies, is_settled in seen if is_settled)
+    rough = log_odds_of_pairs((pairs, energies) for pairs, energies, is_settled in seen if not is_settled)
+    return ranking.weighed({pair: max(odds, 0.0) for pair, odds in rough.items()} | settled)
+
+
+def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> Trial:
+    """A registered combination without those of its pairs that are more probably none."""
+    best = ranking.combinations[int(np.argmax(ranking.probabilities))]
+    places = {hypothesis: index for index, hypothesis in enumerate(trial.combination.hypotheses)}
+    is_part = 0 < len(best.hypotheses) < len(places) and all(one in places for one in best.hypotheses)
+    assert trial.found is not None
+    assert trial.quality is not None
+    if not is_part or trial.quality.cameras is not None:
+        return trial
+    kept = [places[one] for one in best.hypotheses]
+    placed, found = tuple(trial.placed[index] for index in kept), trial.found.of(kept)
+    pre, post = score(evidence, best, placed), score(evidence, best, found.world_from_cad)
+    return Trial(best, ranking.probability_of(best), placed, pre, found, post, trial.quality.of(kept))
 
 
 def _of_several(tell: Progress, index: int, count: int) -> Progress:
@@ -323,13 +349,17 @@ def _by_chi_square(trial: Trial) -> tuple[bool, float]:
     return trial.post is None, trial.combination.chi_square
 
 
+def _by_probability(trial: Trial) -> tuple[bool, float, float]:
+    return trial.post is None, -trial.probability, _by_chi_square(trial)[1]
+
+
 def _by_dice_after(trial: Trial) -> tuple[bool, float]:
     return trial.post is None, -(trial.pre if trial.post is None else trial.post).dice
 
 
 _FITS: dict[Method, Fit] = {"default": fit_segment, "paper": fit_segment, "epipolar": fit_epipolar}
-_ORDERS: dict[Method, Callable[[Trial], tuple[bool, float]]] = {
-    "default": _by_chi_square,
+_ORDERS: dict[Method, Callable[[Trial], tuple[bool, *tuple[float, ...]]]] = {
+    "default": _by_probability,
     "paper": _by_dice_after,
     "epipolar": _by_chi_square,
 }

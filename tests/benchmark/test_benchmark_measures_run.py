@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from screwpose.benchmark import measures_run
 from screwpose.benchmark.measures_blocks import distribution, is_confident_wrong, is_success, mean
 from screwpose.benchmark.measures_run import measures_of
-from screwpose.benchmark.record import CaseRecord, SigmaCheck, StageRecord, failed_case
+from screwpose.benchmark.record import CaseRecord, ScrewRecord, SigmaCheck, StageRecord, Told, failed_case
 from screwpose.benchmark.rows import cases_csv, screws_csv, to_csv
 from screwpose.benchmark.strata import Strata
 from screwpose.benchmark.summary import measures_file, summarise
@@ -47,6 +47,9 @@ def test_everything_is_counted() -> None:
         "refused": (1, 5),
         "success": (2, 5),  # one screw of case 3 is 1.5 mm off
         "pairs_right": (6, 10),
+        "answered_pairs_right": (6, 8),
+        "right_but_harmless": (3, 5),
+        "right_of_confident": (2, 3),
     }
     tips = found.errors["tip_mm"]
     assert (tips.count, tips.max) == (6, 1.5)
@@ -102,8 +105,8 @@ def _assert_close(found: object, wanted: object) -> None:
 
 
 def test_coverage_is_by_chi_square() -> None:
-    assert pytest.approx(chi2.ppf(0.6827, 3)) == measures_run.CHI2_1SIGMA
-    assert pytest.approx(chi2.ppf(0.9545, 3)) == measures_run.CHI2_2SIGMA
+    for name, degrees in (("tip", 3), ("axis", 2), ("roll", 1)):
+        np.testing.assert_allclose(measures_run.CHI2[name], chi2.ppf(chi2.cdf([1.0, 4.0], 1), degrees))
     base = plain_record(0, (0.1, 0.2, 0.3, 0.4))
     screws = [
         screw.model_copy(update={"sigma": SigmaCheck(mahalanobis2=value)})
@@ -112,6 +115,32 @@ def test_coverage_is_by_chi_square() -> None:
     found = measures_of([base.model_copy(update={"screws": tuple(screws)})]).coverage
     assert (found["tip_1sigma"].value, found["tip_2sigma"].value) == (0.5, 0.75)
     assert measures_of([base]).coverage == {}
+
+
+def test_coverage_of_axis_and_roll_by_hand() -> None:
+    screw = plain_record(0, (0.1,)).screws[0]
+    assert screw.errors is not None
+    screws = [
+        screw.model_copy(
+            update={
+                "errors": screw.errors.model_copy(update={"axis_deg": axis, "roll_deg": roll}),
+                "sigma": SigmaCheck(axis_deg=1.0, roll_deg=0.5),
+            }
+        )
+        # Of two directions with a variance of 1/2 each: 68.27 % are within the root of 2.296 / 2, 95.45 % of 6.18 / 2.
+        for axis, roll in ((1.06, -0.49), (1.08, 0.51), (1.75, 0.99), (1.77, -1.01))
+    ]
+    screws.append(screw.model_copy(update={"sigma": SigmaCheck(axis_deg=1.0)}))  # its roll is not told
+    record = plain_record(0).model_copy(update={"screws": tuple(screws)})
+    found = measures_of([record]).coverage
+    summary = summarise(measures_file([record], seed=3, started="2026-01-01T00:00:00+00:00"))
+    assert summary.sets["hand"].methods["ours"].coverage is None  # its format knows the tip's alone
+    assert {name: (one.hits, one.of) for name, one in found.items()} == {
+        "axis_1sigma": (2, 5),
+        "axis_2sigma": (4, 5),
+        "roll_1sigma": (1, 4),
+        "roll_2sigma": (3, 4),
+    }
 
 
 def test_strata_hold_every_case_once() -> None:
@@ -166,6 +195,43 @@ def test_calibration_of_a_run_by_hand() -> None:
     assert found is not None
     assert found.cases == 4
     assert found.error == pytest.approx((3 * abs(0.95 - 2 / 3) + 0.15) / 4)
+    assert found.brier == pytest.approx((2 * 0.05**2 + 0.95**2 + 0.15**2) / 4)
+
+
+def test_what_is_told_of_pairs_and_of_marks_alone_by_hand() -> None:
+    told = [Told(what="pair", probability=0.9, right=True), Told(what="alone", probability=0.95, right=False)]
+    record = plain_record(0).model_copy(update={"told": tuple(told)})
+    found = measures_of([record, plain_record(1)]).told
+    assert found is not None
+    assert found.cases == 2
+    assert found.error == pytest.approx(abs(0.925 - 0.5))
+    assert found.brier == pytest.approx((0.1**2 + 0.95**2) / 2)
+    assert measures_of([plain_record(1)]).told is None
+
+
+def test_screws_of_one_view_and_answered_pairs_by_hand() -> None:
+    pair = plain_record(0, (0.1,)).screws[0]
+    alone = [
+        ScrewRecord(labels={"AP": "9"}, model="bar", outcome=outcome) for outcome in ("missing", "missing", "wrong")
+    ]
+    record = plain_record(0, (0.1,)).model_copy(
+        update={"screws": (pair, *alone), "pairs_true": 1, "pairs_right": 1, "pairs_answered": 2, "right": False}
+    )
+    refused = record.model_copy(update={"index": 1, "pairing_status": "refused", "status": "refused"})
+    rates = measures_of([record, refused]).rates
+    assert (rates["alone_left"].hits, rates["alone_left"].of) == (2, 3)
+    one = measures_of([record]).rates
+    assert (one["answered_pairs_right"].hits, one["answered_pairs_right"].of) == (1, 2)
+
+
+def test_right_of_the_confident_leaves_harmless_swaps_out() -> None:
+    sure = plain_record(0).model_copy(update={"pairing_status": "confident", "right": True})
+    wrong = sure.model_copy(update={"index": 1, "right": False})
+    swap = wrong.model_copy(update={"index": 2, "harmless_swap": True})
+    open_ = wrong.model_copy(update={"index": 3, "pairing_status": "ambiguous"})
+    rates = measures_of([sure, wrong, swap, open_]).rates
+    assert (rates["right_of_confident"].hits, rates["right_of_confident"].of) == (1, 2)
+    assert (rates["right_but_harmless"].hits, rates["right_but_harmless"].of) == (1, 3)
 
 
 def test_the_mean_of_screws_is_not_the_mean_of_cases() -> None:

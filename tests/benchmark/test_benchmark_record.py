@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from screwpose.benchmark.judging import answered_screw, poses_agree
+from screwpose.benchmark.judging import answered_screw, poses_agree, told_of
 from screwpose.benchmark.record import CaseRecord, failed_case, read_record, write_record
 from screwpose.errors import CaseError
 from screwpose.files.schema import as_pose
@@ -270,3 +270,28 @@ def test_a_record_comes_back_from_its_file_as_it_was(tmp_path: Path) -> None:
     path.write_text(text.replace('"right": true', '"right": "perhaps"'))
     with pytest.raises(CaseError, match=r"r\.json: right: "):
         read_record(path)
+
+
+def test_every_probability_is_kept_with_whether_it_is_right() -> None:
+    truth = truth_of()
+    result = result_of((TRUE_POSES[0],), (LABELS[0],))
+    pairing = result.answer.pairing.model_copy(
+        update={
+            "pair_probabilities": (0.9,),
+            "unpaired": {"AP": ("2",), "LAT": ("a", "c")},
+            "unpaired_probabilities": {"AP": (0.6,), "LAT": (0.7, 0.8)},
+        }
+    )
+    told = told_of(result.answer.model_copy(update={"pairing": pairing}), truth)
+    assert [(one.what, one.probability, one.right) for one in told] == [
+        ("pair", 0.9, True),
+        ("alone", 0.6, False),
+        ("alone", 0.7, False),
+        ("alone", 0.8, True),  # of no screw that both views show
+    ]
+    wrong = result_of(TRUE_POSES, SWAPPED)
+    pairing = wrong.answer.pairing.model_copy(update={"pair_probabilities": (0.9, 0.8)})
+    told = told_of(wrong.answer.model_copy(update={"pairing": pairing}), truth)
+    assert [(one.what, one.probability, one.right) for one in told] == [("pair", 0.9, False), ("pair", 0.8, False)]
+    assert told_of(result_of(status="refused").answer, truth) == ()
+    assert told_of(result_of().answer, truth) == ()  # a method that tells none

@@ -33,6 +33,12 @@ SIZES = {
     "real": 16,
     "other": 100,
 }
+SPOILED = {
+    f"{base}-{what}": SIZES[base]
+    for base in ("pairs", "hard", "multi")
+    for what in ("noisy", "biased", "uncalibrated", "distorted")
+    if f"{base}-{what}" != "pairs-noisy"  # which is `noisy`
+}
 # Cases 0 and 1 of seed 2026: what the truth, the cameras and the marks are, to 1e-6.
 FROZEN = {
     ("paper", 2): "52c184c8bbe82ef8",
@@ -45,6 +51,17 @@ FROZEN = {
     ("geometry", 1): "740dc8d1af525d4d",
     ("clean", 1): "e75c397571b338aa",
     ("smoke", 1): "6ad2f3dacffec7d5",
+    ("pairs-biased", 1): "480b762b311fee79",
+    ("pairs-uncalibrated", 1): "1b2aae0b82eede74",
+    ("pairs-distorted", 1): "97e7285fb0b3dd04",
+    ("hard-noisy", 1): "9afa2c9f303d8ec9",
+    ("hard-biased", 1): "ebb745251df7afd8",
+    ("hard-uncalibrated", 1): "851a8fe0af52a3aa",
+    ("hard-distorted", 1): "5cc26d26f5d32081",
+    ("multi-noisy", 1): "5d5132d9f06bac8c",
+    ("multi-biased", 1): "4a0905d3c87b2d54",
+    ("multi-uncalibrated", 1): "811549e831d0f30d",
+    ("multi-distorted", 1): "ba8d2002bc8062c0",
 }
 
 
@@ -72,8 +89,8 @@ def digest(plans: list[ScenePlan]) -> str:
 
 
 def test_all_sets_are_there_with_their_sizes() -> None:
-    assert {name: one.size for name, one in SETS.items()} == SIZES
-    assert {recipe.name for recipe in RECIPES} == set(SIZES) - {"real", "other"}
+    assert {name: one.size for name, one in SETS.items()} == SIZES | SPOILED
+    assert {recipe.name for recipe in RECIPES} == set(SIZES | SPOILED) - {"real", "other"}
 
 
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.name)

@@ -121,7 +121,7 @@ def test_probabilities_by_hand() -> None:
     [
         ([2.0, 40.0], 0, "confident", None),
         ([2.0], 0, "confident", None),
-        ([2.0, 7.0], 0, "ambiguous", "leave the pairing open.*probability of 0.924, 0.99 is needed"),
+        ([2.0, 7.0], 0, "ambiguous", "the pairing is open.*probability of 0.924, 0.99 is needed"),
         ([2.0, 40.0], 1, "ambiguous", "probability of 0.000"),
         ([2.0, 9000.0], 1, "ambiguous", "probability of 0.000.*further off .*chi-square 9000.0"),
         ([20.0, 400.0], 0, "ambiguous", "further off than their assumed noise allows .chi-square 20.0 for 3 degrees"),

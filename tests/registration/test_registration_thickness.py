@@ -9,7 +9,7 @@ from screwpose.errors import CancelledError
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import ScrewDesign, make_screw
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.registration.recipe import STAGES, fit_by_thickness, scaled_stages
+from screwpose.registration.recipe import STAGES, fit_by_thickness, once_more, scaled_stages
 from screwpose.registration.thickness_fit import (
     Body,
     changed,
@@ -173,3 +173,17 @@ def test_the_screw_that_is_wrong_has_the_low_energy(targets: dict) -> None:
     wrong = energies_of_each(targets[1], both, aside)
     assert wrong[1].max() < 0.0
     assert wrong[0].min() > wrong[1].max() + 0.5
+
+
+def test_what_explains_little_goes_through_all_scales_once_more(targets: dict) -> None:
+    both = bodies(1.0)
+    stages = scaled_stages(0.46)
+    aside = [TRUTH[0], changed(both[1], TRUTH[1], np.array([0.03, -0.03, 0.0, 1.5, -1.5, 1.0]))]
+    assert energies_of_each(targets[1], both, aside).min() < 0.5
+    assert off(tuple(aside))[0] > 2.0
+    tip_mm, turn_deg = off(tuple(once_more(both, aside, targets, stages)))
+    assert tip_mm < 0.06
+    assert turn_deg < 0.5
+    # What explains enough is at rest.
+    for found, pose in zip(once_more(both, TRUTH, targets, stages), TRUTH, strict=True):
+        assert found is pose

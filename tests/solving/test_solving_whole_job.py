@@ -1,5 +1,6 @@
 """The whole job on a small simulated case: paired right, reproducible, cancellable, and honest."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from screwpose.files.truth import read_truth
 from screwpose.implants import Mesh
 from screwpose.implants.symmetry import CONTINUOUS
 from screwpose.pairing import LandmarkNoise
+from screwpose.pairing.hypotheses import Hypothesis
 from screwpose.registration import SearchOptions
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
@@ -97,6 +99,44 @@ def test_without_generations_the_screws_stay_where_they_were_placed(simulated: t
     assert pairing_is_right(one, truth) or one.pairing.status == "ambiguous"
     # Nor is it less sure for knowing the length; it only doubts the noise, which `epipolar` takes as it is given.
     assert found["default"].answer.combinations[0].probability > 0.999
+
+
+def test_marks_of_two_screws_that_fit_each_other_are_not_one_screw_for_sure(tmp_path: Path) -> None:
+    path = write_case(two_screw_scene(7, landmark_noise_px=0.3, image_size=(320, 320)), tmp_path / "case")
+    case, truth = read_case(path), read_truth(path.parent / "truth.json")
+    first, second = truth.screws
+    kept = {
+        "AP": tuple(mark for mark in case.annotations["AP"] if mark.label == first.labels["AP"]),
+        "LAT": tuple(mark for mark in case.annotations["LAT"] if mark.label == second.labels["LAT"]),
+    }
+    alone = replace(case, annotations=kept)
+    by_marks = solve(alone, replace(QUICK, search=SearchOptions(generations=0))).answer.pairing
+    assert by_marks.status == "confident"  # they are all that is asked then
+    answer = solve(alone, QUICK).answer
+    assert answer.pairing.status == "ambiguous"
+    assert answer.pairing.probability is not None
+    assert answer.pairing.probability < 0.9
+    assert "AP 2 = LAT a may be marks of different screws" in " ".join(answer.warnings)
+
+
+def test_a_pair_that_is_more_probably_none_is_not_answered(
+    simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case, truth = simulated
+    doubted = dict.fromkeys((frozenset(truth.screws[1].labels.items()),), -60.0)
+
+    def odds(registered: Iterable[tuple[tuple[Hypothesis, ...], object]]) -> dict[Hypothesis, float]:
+        pairs = {pair for hypotheses, _ in registered for pair in hypotheses}
+        return {pair: doubted.get(frozenset(pair.labels), 0.0) for pair in pairs}
+
+    monkeypatch.setattr("screwpose.solve.log_odds_of_pairs", odds)
+    answer = solve(case, QUICK).answer
+    kept, gone = truth.screws[0].labels, truth.screws[1].labels
+    assert answer.pairing.pairs == (kept,)
+    assert answer.pairing.unpaired == {view: (label,) for view, label in gone.items()}
+    assert [screw.labels for screw in answer.screws] == [kept]
+    assert answer.combinations[0].pairs == (kept,)
+    assert answer.combinations[0].post is not None
 
 
 def test_a_roll_that_cannot_be_seen_is_absent_and_said(

@@ -11,7 +11,8 @@ from screwpose.files.case import read_case
 from screwpose.files.scenes import read_solved
 from screwpose.geometry import rigid
 from screwpose.images import read_mask
-from screwpose.solve import HeldScrew, SolveOptions, solve
+from screwpose.pairing.holding import HeldScrew
+from screwpose.solve import SolveOptions, solve
 from screwpose.workbench.process import Child, TaskError
 from screwpose.workbench.reviewing import moved_by_hand
 from screwpose.workbench.tasks import TASKS

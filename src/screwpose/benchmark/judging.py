@@ -15,6 +15,7 @@ from screwpose.benchmark.record import (
     ScrewRecord,
     SigmaCheck,
     StageRecord,
+    Told,
     ViewErrors,
 )
 from screwpose.benchmark.scoring import pairing_is_right, pose_error
@@ -34,6 +35,7 @@ __all__ = [
     "relation_records",
     "screw_records",
     "stage_record",
+    "told_of",
 ]
 
 # Geometry in which no one could tell: issue 4's bounds of a harmless swap.
@@ -50,6 +52,21 @@ def count_pairs(answer: ResultFile, truth: TruthFile) -> dict[str, int]:
         "pairs_answered": len(answered),
         "pairs_true": len(true_pairs),
     }
+
+
+def told_of(answer: ResultFile, truth: TruthFile) -> tuple[Told, ...]:
+    """Every probability of a pair and of a mark alone, with whether it is right; nothing where it was refused."""
+    pairing = answer.pairing
+    if answer.status == "refused":
+        return ()
+    true_pairs = [screw.labels for screw in truth.screws if len(screw.labels) > 1]
+    shared = {item for labels in true_pairs for item in labels.items()}
+    pairs = zip(pairing.pairs, pairing.pair_probabilities or (), strict=False)
+    found = [Told(what="pair", probability=p, right=labels in true_pairs) for labels, p in pairs]
+    for view, probabilities in (pairing.unpaired_probabilities or {}).items():
+        alone = zip(pairing.unpaired[view], probabilities, strict=True)
+        found += [Told(what="alone", probability=p, right=(view, label) not in shared) for label, p in alone]
+    return tuple(found)
 
 
 def missing_screw(screw: TruthScrew) -> ScrewRecord:

@@ -50,10 +50,14 @@ class Bin(FileModel):
 
 
 class Calibration(FileModel):
-    """Whether a probability of 0.9 is right nine times in ten."""
+    """Whether a probability of 0.9 is right nine times in ten.
+
+    `cases` counts what was told a probability: cases, or pairs and marks alone.
+    """
 
     cases: Count
     error: NotNegative
+    brier: NotNegative | None = Field(None, description="mean of the squares of the probability less 1 or 0")
     bins: tuple[Bin, ...]
 
 
@@ -97,6 +101,7 @@ class MethodMeasures(FileModel):
     stages: dict[Name, Distribution] = Field(description="Dice and loss of the true combinations")
     coverage: dict[Name, Rate]
     calibration: Calibration | None = None
+    told: Calibration | None = Field(None, description="the same of single pairs, and of marks without a partner")
     seconds: Distribution | None = None
     steps: dict[Name, Distribution] = Field(description="seconds in each step")
     strata: dict[Name, tuple[Stratum, ...]]
@@ -115,6 +120,8 @@ class MeasuresFile(FileModel):
 
     format: Literal["screwpose-measures/1"] = "screwpose-measures/1"
     sets: dict[Name, SetMeasures]
+    calibration: dict[Name, Calibration] = Field(default={}, description="of each method, over all sets")
+    told: dict[Name, Calibration] = Field(default={}, description="the same of single pairs and marks")
     seed: Count
     started: str
     machine: str

@@ -1,5 +1,6 @@
 """From the records of a run to its measures. Whatever order the records and their screws are in, the figures agree."""
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 
@@ -30,9 +31,12 @@ ERRORS = (
     "depth_mm",
     "projection_px",
 )
-# The 68.27 % and 95.45 % quantiles of chi-square with 3 degrees of freedom: scipy.stats.chi2.ppf(share, 3).
-CHI2_1SIGMA = 3.5268221788659933
-CHI2_2SIGMA = 8.024894669075117
+# The 68.27 % and 95.45 % quantiles of chi-square with 3, 2 and 1 degrees of freedom: scipy.stats.chi2.ppf(share, n).
+CHI2 = {
+    "tip": (3.5267403802617303, 8.024881760266252),
+    "axis": (2.295748928898636, 6.180074306244173),
+    "roll": (1.0, 4.0),
+}
 
 
 def group(records: Iterable[CaseRecord]) -> dict[str, dict[str, list[CaseRecord]]]:
@@ -69,6 +73,7 @@ def measures_of(records: Sequence[CaseRecord]) -> MethodMeasures:
         stages=distributions(_stages(records)),
         coverage=_coverage(records),
         calibration=calibration_of(records),
+        told=calibration_of_told(records),
         # A case that could not be computed took no time to solve.
         seconds=distribution([(index, one.seconds) for index, one in enumerate(records) if one.error is None]),
         steps=distributions(_steps(records)),
@@ -93,6 +98,14 @@ def _rates(records: Sequence[CaseRecord]) -> dict[str, Rate]:
         # The pairs of a case are right or wrong together: the interval counts cases, not pairs.
         cases = sum(one.pairs_true > 0 for one in records)
         rates["pairs_right"] = share(right, true, trials=cases)
+    answered = sum(one.pairs_answered for one in records if one.pairing_status != "refused")
+    if answered:
+        rates["answered_pairs_right"] = share(right, answered, trials=sum(one.pairs_answered > 0 for one in records))
+    rates |= _rates_of_alone(records)
+    sure = [one for one in records if one.pairing_status == "confident" and not one.harmless_swap]
+    if sure:
+        rates["right_of_confident"] = rate(one.right for one in sure)
+    rates["right_but_harmless"] = rate(one.right for one in records if not one.harmless_swap)
     for stage in ("pre", "post"):
         stages = [getattr(one, stage) for one in records]
         named = [one.chosen_right for one in stages if one is not None and one.chosen_right is not None]
@@ -155,26 +168,56 @@ def _steps(records: Sequence[CaseRecord]) -> dict[str, list[Value]]:
     return values
 
 
-def _coverage(records: Sequence[CaseRecord]) -> dict[str, Rate]:
-    checked = [
-        (index, screw.sigma.mahalanobis2)
-        for index, record in enumerate(records)
-        for screw in record.screws
-        if screw.sigma is not None and screw.sigma.mahalanobis2 is not None
+def _rates_of_alone(records: Sequence[CaseRecord]) -> dict[str, Rate]:
+    """Screws that one view alone shows: how many of them were left without a partner."""
+    alone = [
+        [screw.outcome != "wrong" for screw in record.screws if len(screw.labels) == 1]
+        for record in records
+        if record.error is None and record.pairing_status != "refused"
     ]
-    if not checked:
-        return {}
-    cases = len({index for index, _ in checked})
-    bounds = {"tip_1sigma": CHI2_1SIGMA, "tip_2sigma": CHI2_2SIGMA}
+    count = sum(map(len, alone))
+    return {"alone_left": share(sum(map(sum, alone)), count, trials=sum(map(bool, alone)))} if count else {}
+
+
+def _coverage(records: Sequence[CaseRecord]) -> dict[str, Rate]:
+    """The share of screws whose error is within what was said of it: of the tip by its covariance, of the axis, which
+    may lean two ways, by the same share of its own distribution, of the roll by one and two sigma."""
+    checked: dict[str, list[tuple[int, float, float]]] = {"tip": [], "axis": [], "roll": []}
+    for index, record in enumerate(records):
+        for screw in record.screws:
+            sigma, errors = screw.sigma, screw.errors
+            if sigma is None or errors is None:
+                continue
+            if sigma.mahalanobis2 is not None:
+                checked["tip"].append((index, sigma.mahalanobis2, 1.0))
+            if sigma.axis_deg:  # root of the sum of the variances of both ways
+                checked["axis"].append((index, 2.0 * errors.axis_deg**2, sigma.axis_deg**2))
+            if sigma.roll_deg and errors.roll_deg is not None:
+                checked["roll"].append((index, errors.roll_deg**2, sigma.roll_deg**2))
     return {
-        name: share(sum(value <= bound for _, value in checked), len(checked), trials=cases)
-        for name, bound in bounds.items()
+        f"{name}_{count}sigma": share(
+            sum(squared <= bound * variance for _, squared, variance in found),
+            len(found),
+            trials=len({index for index, _, _ in found}),
+        )
+        for name, found in checked.items()
+        if found
+        for count, bound in zip((1, 2), CHI2[name], strict=True)
     }
 
 
 def calibration_of(records: Sequence[CaseRecord]) -> Calibration | None:
-    """Over the cases that have a probability; None without any."""
-    told = [(record.probability, record.right) for record in records if record.probability is not None]
+    """Over the cases that have a probability and were not refused; None without any."""
+    answered = [one for one in records if one.pairing_status != "refused"]
+    return _calibration([(one.probability, one.right) for one in answered if one.probability is not None])
+
+
+def calibration_of_told(records: Sequence[CaseRecord]) -> Calibration | None:
+    """Over all pairs and marks alone that have one; None without any."""
+    return _calibration([(one.probability, one.right) for record in records for one in record.told])
+
+
+def _calibration(told: Sequence[tuple[float, bool]]) -> Calibration | None:
     bins = bootstrap.calibration_bins([p for p, _ in told], [right for _, right in told])
     error = bootstrap.calibration_error(bins)
     if error is None:
@@ -189,4 +232,5 @@ def calibration_of(records: Sequence[CaseRecord]) -> Calibration | None:
         )
         for one in bins
     )
-    return Calibration(cases=len(told), error=error, bins=listed)
+    brier = math.fsum((p - right) ** 2 for p, right in told) / len(told)
+    return Calibration(cases=len(told), error=error, brier=brier, bins=listed)

@@ -96,7 +96,11 @@ def _started(folder: Path) -> str:
 def write_tables(folder: Path, records: Sequence[CaseRecord], measures: MeasuresFile) -> list[Path]:
     """tables.md, and every table as CSV in tables/, the paper's two for each set and method among them."""
     place = make_folder(folder / "tables")
-    whole = {"pairing": tables.headline_table(measures), "accuracy": tables.accuracy_table(measures)}
+    whole = {
+        "pairing": tables.headline_table(measures),
+        "confidence": tables.confidence_table(measures),
+        "accuracy": tables.accuracy_table(measures),
+    }
     ratios = tables.ratio_table(summarise(measures))
     if ratios.rows:
         whole["ratios"] = ratios

@@ -59,6 +59,7 @@ def page(
         # Ours, not a case's: taken as they are.
         style=Markup(house + (own / "bench.css").read_text(encoding="utf-8")),
         headline=tables.headline_table(measures),
+        confidence=tables.confidence_table(measures),
         accuracy=tables.accuracy_table(measures),
         ratios=tables.ratio_table(summary),
         worsened=worsened,

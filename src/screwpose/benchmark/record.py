@@ -95,6 +95,14 @@ class RelationRecord(FileModel):
     angle_deg: Number = Field(description="the estimated angle between the axes less the true one, degrees")
 
 
+class Told(FileModel):
+    """A probability that was told of one pair, or of one mark that was left without a partner."""
+
+    what: Literal["pair", "alone"]
+    probability: Fraction
+    right: bool = Field(description="the pair is a true one; the mark is of a screw that no other view shows")
+
+
 class StageRecord(FileModel):
     """The scores of the true combination and of the best wrong one at one stage; absent where it was not scored."""
 
@@ -137,6 +145,7 @@ class CaseRecord(FileModel):
     seconds: NotNegative = Field(description="wall time of reading and solving the case, s")
     timing_s: dict[Name, NotNegative] = Field(default={}, description="seconds spent in each step")
     screws: tuple[ScrewRecord, ...] = Field(default=(), description="one for each screw of the truth, in its order")
+    told: tuple[Told, ...] = Field(default=(), description="one for each pair, and each mark without a partner")
     relations: tuple[RelationRecord, ...] = Field(default=(), description="one for every two screws paired right")
 
 
@@ -187,6 +196,7 @@ def score_case(
         seconds=seconds,
         timing_s=dict(answer.timing_s),
         screws=screws,
+        told=judging.told_of(answer, truth),
         relations=judging.relation_records(answer, truth, case.implants),
     )
 

@@ -4,8 +4,8 @@ What a case of a set is, follows from its recipe, the set's name, the seed and t
 the simulator, that moves a screw, a camera or a mark makes another set of it: give it a new version.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
@@ -154,7 +154,7 @@ class SimulatedSet:
         return BenchmarkSet(self.name, self.version, self.make, self.size, "simulated", self.description)
 
 
-RECIPES = (
+_PLAIN = (
     SimulatedSet(
         "paper",
         2,
@@ -228,6 +228,43 @@ RECIPES = (
         12,
         _smoke,
         "two screws with towers in images of 512 x 512, marks with 0.75 px of noise: small and quick, for every change",
+    ),
+)
+
+_SPOILED = {
+    "noisy": ("marks with 4 px of noise", {"landmark_noise_px": 4.0}),
+    "biased": (
+        "the centres marked 1 mm too near the head, which is 5 px where a screw is seen from the side",
+        {"center_bias_mm": 1.0},
+    ),
+    "uncalibrated": (
+        "P wrong by 2 % of the focal length, and by 1 degree between the views",
+        {"focal_error_percent": 2.0, "rotation_error_deg": 1.0},
+    ),
+    "distorted": (
+        "X-rays distorted by 2 px at half their side, of which P says nothing",
+        {"pincushion": 2.0 / 512.0},
+    ),
+}
+
+
+def _spoiled(base: SimulatedSet, dials: Mapping[str, float]) -> Recipe:
+    def recipe(rng: np.random.Generator) -> tuple[SceneOptions, Imperfections]:
+        options, imperfections = base.recipe(rng)
+        return options, replace(imperfections, **dials)
+
+    return recipe
+
+
+# `noisy` is what would be `pairs-noisy`.
+RECIPES = (
+    *_PLAIN,
+    *(
+        SimulatedSet(f"{base.name}-{name}", 1, base.size, _spoiled(base, dials), f"as `{base.name}`, but {words}")
+        for base in _PLAIN
+        if base.name in ("pairs", "hard", "multi")
+        for name, (words, dials) in _SPOILED.items()
+        if (base.name, name) != ("pairs", "noisy")
     ),
 )
 

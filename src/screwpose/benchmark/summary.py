@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from screwpose import __version__
 from screwpose.benchmark.measures_file import Distribution, MeasuresFile, MethodMeasures
-from screwpose.benchmark.measures_run import group, measures_of_set
+from screwpose.benchmark.measures_run import calibration_of, calibration_of_told, group, measures_of_set
 from screwpose.benchmark.record import CaseRecord
 from screwpose.files.schema import (
     Coverage,
@@ -31,8 +31,14 @@ def measures_file(records: Sequence[CaseRecord], *, seed: int, started: str) -> 
     ----------
     started : when the run began, ISO 8601.
     """
+    by_method: dict[str, list[CaseRecord]] = {}
+    for record in records:
+        by_method.setdefault(record.method, []).append(record)
+    told = {method: (calibration_of(some), calibration_of_told(some)) for method, some in by_method.items()}
     return MeasuresFile(
         sets={name: measures_of_set(methods) for name, methods in group(records).items()},
+        calibration={method: one for method, (one, _) in told.items() if one is not None},
+        told={method: one for method, (_, one) in told.items() if one is not None},
         seed=seed,
         started=started,
         machine=f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, "
@@ -69,7 +75,7 @@ def _method_summary(one: MethodMeasures) -> MethodSummary:
         dice, loss = block(one.stages, f"{name}_dice"), block(one.stages, f"{name}_loss")
         return None if dice is None and loss is None else StageQuantiles(dice=dice, loss=loss)
 
-    coverage = {name: rate.value for name, rate in one.coverage.items()}
+    coverage = {name: rate.value for name, rate in one.coverage.items() if name in Coverage.model_fields}
     return MethodSummary(
         cases=one.cases,
         screws=one.screws,

@@ -4,7 +4,15 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from screwpose.benchmark.measures_file import Distribution, Estimate, MeasuresFile, MethodMeasures, Rate, SetMeasures
+from screwpose.benchmark.measures_file import (
+    Calibration,
+    Distribution,
+    Estimate,
+    MeasuresFile,
+    MethodMeasures,
+    Rate,
+    SetMeasures,
+)
 from screwpose.benchmark.measures_run import ERRORS
 from screwpose.benchmark.record import CaseRecord
 from screwpose.errors import CaseError
@@ -46,6 +54,14 @@ RATE_TITLES = {
     "pairs_right": "pairs right",
     "success": "success",
 }
+CONFIDENCE_TITLES = {
+    "right_but_harmless": "right, harmless swaps apart",
+    "right_of_confident": "right of the confident",
+    "answered_pairs_right": "answered pairs right",
+    "alone_left": "screws of one view left alone",
+}
+_COVERAGES = {f"{name}_{count}sigma": (name, f"{count} sigma") for name in ("tip", "axis", "roll") for count in (1, 2)}
+_CALIBRATION_TITLES = {"count": "number", "error": "calibration error", "brier": "Brier"}
 
 
 def percent(rate: Rate | None) -> str | None:
@@ -114,6 +130,53 @@ def accuracy_table(measures: MeasuresFile) -> Table:
         if column.key in ("coverage", "calibration") and all(row[place] is None for row in rows)
     ]
     return table.without(*empty)
+
+
+def confidence_table(measures: MeasuresFile) -> Table:
+    """Methods by sets: whether what is sure is right, probabilities mean what they say, and errors are as expected."""
+    columns = (
+        Column("set", "Set", is_number=False),
+        Column("method", "Method", is_number=False),
+        *(Column(key, title) for key, title in CONFIDENCE_TITLES.items()),
+        *(Column(f"{of}_{key}", title, of) for of in ("cases", "pairs") for key, title in _CALIBRATION_TITLES.items()),
+        *(Column(key, title, f"{name} within") for key, (name, title) in _COVERAGES.items()),
+    )
+    rows: list[tuple[Value, ...]] = [
+        (
+            name,
+            method,
+            *(percent(one.rates.get(key)) for key in CONFIDENCE_TITLES),
+            *_calibration_cells(one.calibration),
+            *_calibration_cells(one.told),
+            *(
+                percent(one.coverage.get(f"{part}_{count}sigma"))
+                for part in ("tip", "axis", "roll")
+                for count in (1, 2)
+            ),
+        )
+        for name, method, one in _each(measures)
+    ]
+    if len(measures.sets) > 1:
+        rows += [
+            (
+                "all",
+                method,
+                *[None] * len(CONFIDENCE_TITLES),
+                *_calibration_cells(one),
+                *_calibration_cells(measures.told.get(method)),
+                *[None] * len(_COVERAGES),
+            )
+            for method, one in measures.calibration.items()
+        ]
+    table = Table("Confidence: of what was answered", columns, tuple(rows))
+    empty = [column.key for place, column in enumerate(columns) if all(row[place] is None for row in rows)]
+    return table.without(*empty)
+
+
+def _calibration_cells(one: Calibration | None) -> tuple[Value, ...]:
+    if one is None:
+        return (None,) * len(_CALIBRATION_TITLES)
+    return one.cases, f"{100 * one.error:.2f} %", None if one.brier is None else f"{one.brier:.4f}"
 
 
 def distribution_table(title: str, found: dict[str, Distribution], titles: dict[str, str]) -> Table:

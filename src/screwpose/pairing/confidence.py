@@ -103,7 +103,7 @@ def judge(combinations: Sequence[Combination], chosen: int, probability: float |
     reasons = []
     if probability < CONFIDENT_PROBABILITY:
         reasons.append(
-            f"the landmarks leave the pairing open: the chosen one has a probability of {probability:.3f}, "
+            f"the pairing is open: the chosen one has a probability of {probability:.3f}, "
             f"{CONFIDENT_PROBABILITY} is needed to be sure"
         )
     if p_value(combinations[chosen]) < _DOUBTFUL_P_VALUE:

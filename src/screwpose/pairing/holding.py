@@ -1,11 +1,35 @@
 """The pairing that a person holds to, found among those that were ranked."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+from screwpose._types import FloatArray
 from screwpose.errors import AnnotationError
 from screwpose.files.case import Case
+from screwpose.pairing.evidence import Poses
 from screwpose.pairing.hypotheses import Combination, HypothesisTable, combination_of
 from screwpose.pairing.ranking import Ranking
+
+
+@dataclass(frozen=True, eq=False)
+class HeldScrew:
+    """A screw of the pairing that a person holds to.
+
+    Parameters
+    ----------
+    labels : its label in each view that shows it.
+    world_from_cad : (4, 4), where its registration begins; None: on its landmarks.
+    """
+
+    labels: Mapping[str, str]
+    world_from_cad: FloatArray | None = None
+
+
+def begun_poses(combination: Combination, placed: Poses, held: Sequence[HeldScrew]) -> Poses:
+    """Where the screws of a combination begin: as a person says, else as they were placed."""
+    given = {frozenset(one.labels.items()): one.world_from_cad for one in held}
+    own = [given.get(frozenset(hypothesis.labels)) for hypothesis in combination.hypotheses]
+    return tuple(pose if one is None else one for pose, one in zip(placed, own, strict=True))
 
 
 def held_combination(

@@ -14,7 +14,7 @@ from screwpose.files.case import Case
 from screwpose.geometry import Camera
 from screwpose.pairing.assignment import cheapest_assignments
 from screwpose.pairing.confidence import probabilities
-from screwpose.pairing.hypotheses import Combination, HypothesisTable, Labels, combination_of
+from screwpose.pairing.hypotheses import Combination, Hypothesis, HypothesisTable, Labels, combination_of
 from screwpose.pairing.overlap import overlaps_mm, rod_of
 from screwpose.pairing.posterior import (
     PairingModel,
@@ -71,6 +71,13 @@ class Ranking:
         """The same where more is known of some combinations, without changing what they have together."""
         changed = [known.get(one, old) for one, old in zip(self.combinations, self.probabilities, strict=True)]
         return replace(self, probabilities=np.array(changed))
+
+    def weighed(self, log_odds: Mapping[Hypothesis, float]) -> "Ranking":
+        """The same where it is known of some pairs how much more probable something is, that was seen, if they are
+        pairs."""
+        gains = [sum(log_odds.get(pair, 0.0) for pair in one.hypotheses) for one in self.combinations]
+        weights = self.probabilities * np.exp(np.array(gains) - max(gains, default=0.0))
+        return replace(self, probabilities=weights / weights.sum())
 
     def pair_probability(self, labels: Labels) -> float:
         """That these marks are of one screw, and of no other view's."""

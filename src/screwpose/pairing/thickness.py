@@ -31,7 +31,7 @@ from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import Progress, Registered
 from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, compared_again, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
-from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
+from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, once_more, scaled_stages, settled
 from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale
 from screwpose.registration.uncertainty import ExpectedError, expected_errors
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
@@ -83,6 +83,16 @@ class Quality:
     rivals: tuple[Rival, ...] = ()
     cameras: CamerasFit | None = None
     errors: tuple[ExpectedError, ...] = ()
+
+    def of(self, which: Sequence[int]) -> "Quality":
+        """What of it holds of some of the screws; the marks' chi-square stays that of all."""
+        rivals = [replace(one, index=which.index(one.index)) for one in self.rivals if one.index in which]
+        return replace(
+            self,
+            energies=tuple(self.energies[index] for index in which),
+            rivals=tuple(rivals),
+            errors=tuple(self.errors[index] for index in which) if self.errors else (),
+        )
 
 
 def prepare_thickness(case: Case, center_mm: FloatArray) -> Thickness:
@@ -193,7 +203,7 @@ def settle_by_thickness(
     if progress is not None:
         progress(0.7, "fitting the sharpest images")
     scale, stage = stages[-1]
-    poses = at_rest.world_from_cad
+    poses = tuple(once_more(bodies, at_rest.world_from_cad, thickness.targets, stages))
     for views, iterations, enough_mm in (
         (thickness.targets[scale], _BETWEEN_ITERATIONS, stage.enough_mm),
         (thickness.sharp, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM),

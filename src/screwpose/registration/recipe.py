@@ -47,6 +47,7 @@ class Stage:
 
 
 _DOUBTFUL = 0.5
+_MORE = 3  # times the iterations of a stage
 # Marks of 4 px leave the axis of a short screw 7 degrees off.
 _WIDE_DEG = (-7.0, -3.5, 0.0, 3.5, 7.0)
 _WIDE_ROLLS_DEG = tuple(np.arange(0.0, 360.0, 30.0).tolist())
@@ -163,6 +164,29 @@ def settled(
     if preference(targets[scale], bodies, again.world_from_cad, fit.world_from_cad) <= 0.0:
         return unchanged
     return RecipeFit(again.world_from_cad, again.iterations, again.last_step_mm, tuple(rivals))
+
+
+def once_more(
+    bodies: Sequence[Body], poses: Sequence[FloatArray], targets: Targets, stages: Sequence[tuple[int, Stage]]
+) -> list[FloatArray]:
+    """Poses that went once more through all scales where a screw explains little in some view, if that is better.
+
+    Where two edges lie close beside each other the way home is long and flat, and the iterations of a stage do not
+    see its end; the coarsest images show it best.
+
+    Parameters
+    ----------
+    poses : (4, 4) each, registered through the same stages.
+    """
+    finest = targets[stages[-1][0]]
+    if float(energies_of_each(finest, bodies, poses).min()) >= _DOUBTFUL:
+        return list(poses)
+    again = list(poses)
+    for scale, stage in stages:
+        iterations = _MORE * stage.iterations
+        fit = fit_at_scale(targets[scale], bodies, again, stage.mark_sigma_px, iterations, stage.enough_mm)
+        again = list(fit.world_from_cad)
+    return again if preference(finest, bodies, again, poses) > 0.0 else list(poses)
 
 
 def _through(

@@ -66,6 +66,12 @@ class Registered:
     world_from_cad: tuple[FloatArray, ...]
     at_bound: tuple[bool, ...]
 
+    def of(self, which: Sequence[int]) -> "Registered":
+        """The same of some of the screws."""
+        return Registered(
+            tuple(self.world_from_cad[index] for index in which), tuple(self.at_bound[index] for index in which)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class SearchResult(Registered):

@@ -84,8 +84,9 @@ def solve_case(
     from screwpose.files.case import read_case
     from screwpose.files.scenes import read_solved, write_solved
     from screwpose.jobs import saying_that_it_compiles
+    from screwpose.pairing.holding import HeldScrew
     from screwpose.pairing.merging import beside_others
-    from screwpose.solve import HeldScrew, SolveOptions, solve
+    from screwpose.solve import SolveOptions, solve
 
     tell(0.0, "reading the case")
     case = read_case(folder)
