@@ -168,7 +168,8 @@ class CasePage:
         if not action.keydown:
             return
         if (modifiers.ctrl or modifiers.meta) and key.name.lower() == "z":
-            self.redo() if modifiers.shift else self.undo()
+            act = self.redo if modifiers.shift else self.undo
+            act()
         elif (modifiers.ctrl or modifiers.meta) and key.name.lower() == "y":
             self.redo()
         elif key.name == "?":

@@ -163,7 +163,8 @@ def export(tell: Tell, folder: str) -> list[str]:
     case, result = read_case(folder), read_solved(Path(folder) / store.RESULT_FOLDER)
     with atomic_folder(place) as partial:
         write_report(partial, case, result, None, tell)
-    shutil.make_archive(str(place / "meshes"), "zip", place, "meshes") if (place / "meshes").is_dir() else None
+        if (partial / "meshes").is_dir():
+            shutil.make_archive(str(partial / "meshes"), "zip", partial, "meshes")
     return sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
 
 

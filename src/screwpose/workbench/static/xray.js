@@ -90,7 +90,7 @@ export default {
     // ---- what the server says
     set(changes) {
       Object.assign(this.state, changes);
-      this.state.mode === "paint" ? this.$el.classList.add("painting") : this.$el.classList.remove("painting");
+      this.$el.classList.toggle("painting", this.state.mode === "paint");
       this.ask();
     },
     async show(source) {
@@ -159,7 +159,7 @@ export default {
       gl.uniform2f(this.at.size, w, h);
       // Of the coarser image pixel 0 is the mean of the first `scale` ones: its centre is half of them in.
       const coarse = (z) => (z + 0.5) / scale - 0.5;
-      gl.uniform2f(this.at.origin, coarse(u - (width / 2 - 0.5) / zoom) - x * 0, coarse(v - (height / 2 - 0.5) / zoom));
+      gl.uniform2f(this.at.origin, coarse(u - (width / 2 - 0.5) / zoom), coarse(v - (height / 2 - 0.5) / zoom));
       gl.uniform1f(this.at.step_px, 1 / zoom / scale);
       gl.uniform1f(this.at.height, height);
       gl.uniform2f(this.at.bounds, ...this.bounds);
