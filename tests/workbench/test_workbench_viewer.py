@@ -17,7 +17,7 @@ def seen(tab, view="AP"):
     box = tab.canvas(view).bounding_box()
     picture = imagecodecs.png_decode(tab.page.screenshot(clip=box))[..., :3].astype(float)
 
-    def at(point, reach=2):
+    def at(point, reach=3):
         x, y = tab.place_of(view, point)
         column, row = round(x - box["x"]), round(y - box["y"])
         return picture[row - reach : row + reach + 1, column - reach : column + reach + 1].mean()
@@ -45,15 +45,15 @@ def test_it_shows_the_pixels_windowed_inverted_and_near(workspace, serve, open_t
     def compared():
         settled(tab)
         _, at = seen(tab)
-        around = [pixels[v - 1 : v + 2, u - 1 : u + 2].mean() for u, v in points]
+        around = [pixels[v - 2 : v + 3, u - 2 : u + 3].mean() for u, v in points]
         return np.corrcoef([at(p) for p in points], around)[0, 1]
 
     tab.canvas("AP").focus()
     press("o")  # no loupe in the way
     press("2")  # the full range: grey is proportional to the pixels
-    assert compared() > 0.99
+    assert compared() > 0.98
     press("i")
-    assert compared() < -0.99
+    assert compared() < -0.98
     press("i")
     _, at = seen(tab)
     before = np.array([at(p) for p in points])
@@ -67,18 +67,19 @@ def test_it_shows_the_pixels_windowed_inverted_and_near(workspace, serve, open_t
     assert np.mean([at(p) for p in points] - before) > 10  # a lower level is brighter
     press("1")
     # The wheel keeps what is under the cursor where it is.
-    x, y = tab.place_of("AP", (200.0, 100.0))
+    x, y = (round(one) for one in tab.place_of("AP", (200.0, 100.0)))  # a wheel tells whole pixels of the screen
+    here = tab.page.evaluate("([x, y]) => window.screwposeViewers.AP.toImage({ clientX: x, clientY: y })", [x, y])
     tab.page.mouse.move(x, y)
     zoom = tab.page.evaluate(ZOOM)
     for _ in range(6):
         tab.page.mouse.wheel(0, -120)
         settled(tab)
     assert tab.page.evaluate(ZOOM) > 2 * zoom
-    np.testing.assert_allclose(tab.place_of("AP", (200.0, 100.0)), (x, y), atol=0.01)
+    np.testing.assert_allclose(tab.place_of("AP", here), (x, y), atol=0.01)
     tab.page.mouse.down()
     tab.page.mouse.move(x + 50, y + 30, steps=3)
     tab.page.mouse.up()
-    np.testing.assert_allclose(tab.place_of("AP", (200.0, 100.0)), (x + 50, y + 30), atol=0.01)
+    np.testing.assert_allclose(tab.place_of("AP", here), (x + 50, y + 30), atol=0.01)
     assert case_in(workspace / "demo")["annotations"]["AP"][0]["tip"] == marked[0]  # moving the image marks nothing
     press("0")
     settled(tab)
@@ -160,11 +161,13 @@ def test_overlays_can_be_made_fainter_and_differ(workspace, serve, open_tab):
     plain, _ = seen(tab)
     colourful = np.ptp(plain, axis=2) > 40
     assert 200 < colourful.sum() < 0.3 * colourful.size
-    tab.text("Overlay").click()
+    tab.page.get_by_text("Overlay", exact=True).click()
     for words in ("Outline", "Sigma"):
         tab.page.get_by_role("checkbox", name=words, exact=True).click()
-    tab.page.get_by_label("Opacity of the overlay").press("Home")
-    tab.page.wait_for_function("window.screwposeViewers.AP.state.layers.opacity === 0")
+    tab.page.get_by_role("slider").focus()
+    for _ in range(6):
+        tab.page.keyboard.press("ArrowLeft")
+    tab.page.wait_for_function("window.screwposeViewers.AP.state.layers.opacity < 0.01")
     settled(tab)
     bare, _ = seen(tab)
     assert (np.ptp(bare, axis=2) > 40).sum() < 20
