@@ -3,6 +3,7 @@
     python benchmarks/whole_case.py -o whole-case-out
     python benchmarks/whole_case.py --seed 7 --cases 5 --curve 2000 10000 50000 -o out
     python benchmarks/whole_case.py --seed 7 --cases 5 --parts paper --opencv -o out
+    python benchmarks/whole_case.py --seed 7 --cases 2 --parts screws -o out
 
 Two-screw cases of the set `pairs`, one case of twelve screws, and one pair of screws at ever more CAD triangles (the
 models themselves, reduced or split). Every block runs in a process of its own, whose first solve is thrown away:
@@ -22,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -41,16 +42,18 @@ if TYPE_CHECKING:
 
 _CURVE = (2000, 5000, 10_000, 20_000, 50_000, 100_000, 200_000)
 _SCREWS = 12
+_MANY_SCREWS = (2, 4, 8, 12, 16)
 _STEPS = {
     "read": "screwpose.files.case:read_case",
     "plausibility": "screwpose.solve:check_plausibility",
-    "combinations": "screwpose.solve:combinations",
+    "combinations": "screwpose.solve:ranked_pairings",
     "X-rays and search meshes": "screwpose.solve:gather",
     "placing": "screwpose.solve:place",
     "metal": "screwpose.solve:with_metal",
     "scores": "screwpose.solve:score",
     "scales and closed meshes": "screwpose.solve:prepare_thickness",
     "fit": "screwpose.solve:refine_by_thickness",
+    "end": "screwpose.solve:settle_by_thickness",
     "answer": "screwpose.solve:answered",
 }
 """The steps of a solve, and the functions that do them."""
@@ -159,6 +162,27 @@ def make_cases(folder: Path, seed: int, count: int) -> tuple[list[Path], Path]:
     return pairs, make_scene(folder / "twelve", seed, {"screws": _SCREWS})
 
 
+def power_of_growth(screws: Sequence[float], seconds: Sequence[float]) -> float:
+    """The slope of log seconds over log screws, by least squares."""
+    return float(np.polyfit(np.log(screws), np.log(seconds), 1)[0])
+
+
+def growth_page(blocks: dict[str, dict[str, Any]]) -> str:
+    """By which power of the number of screws the medians grow."""
+    found: dict[str, list[float]] = defaultdict(list)
+    for count in _MANY_SCREWS:
+        rows = blocks[f"{count} screws"]["records"]
+        found["solve"].append(float(np.median([row["solve_s"] for row in rows])))
+        pairing = [row["steps_s"]["plausibility"] + row["steps_s"]["combinations"] for row in rows]
+        found["pairing by landmarks"].append(float(np.median(pairing)))
+    lines = [f"| | {' | '.join(map(str, _MANY_SCREWS))} | power |", "| :--- |" + " ---: |" * (len(_MANY_SCREWS) + 1)]
+    lines += [
+        f"| {what} | {' | '.join(f'{one:.3f}' for one in seconds)} | {power_of_growth(_MANY_SCREWS, seconds):.2f} |"
+        for what, seconds in found.items()
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def beside_paper(seed: int, count: int, rounds: int, with_opencv: bool) -> Iterator[list["Timed"]]:
     """Each case by `default` and by `paper`, in turns, here."""
     from engines import whole_cases  # with all of its rivals: not for the processes that are measured
@@ -193,6 +217,8 @@ def page(blocks: dict[str, dict[str, Any]], timings: list["Timed"], about: str) 
     parts = ["# Whole cases\n", f"{about}\n"]
     if blocks:
         parts.append(blocks_page(blocks))
+    if all(f"{count} screws" in blocks for count in _MANY_SCREWS):
+        parts += ["## Seconds by the number of screws\n", growth_page(blocks)]
     if timings:
         parts += ["## `default` against `paper`\n", paper_page(timings)]
     return "\n".join(parts)
@@ -227,7 +253,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="how often each case is solved by each method")
     parser.add_argument("--curve", type=int, nargs="*", default=list(_CURVE), help="triangles a model; none: no curve")
     parser.add_argument(
-        "--parts", nargs="+", choices=("blocks", "paper"), default=["blocks"], help="what is timed: by default, blocks"
+        "--parts",
+        nargs="+",
+        choices=("blocks", "paper", "screws"),
+        default=["blocks"],
+        help="what is timed: by default, blocks",
     )
     parser.add_argument("--opencv", action="store_true", help="in the part `paper`, also with OpenCV: minutes a case")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
@@ -261,6 +291,19 @@ def main() -> None:
             for name, paths, faces in plan:
                 blocks[name] = in_fresh_process(paths, options.rounds, faces)
                 console.print(name, quartiles([row["solve_s"] for row in blocks[name]["records"]]))
+                keep()
+    if "screws" in options.parts:
+        from screwpose.cli.making import make_scene
+
+        with tempfile.TemporaryDirectory() as folder:
+            for count in _MANY_SCREWS:
+                given = {"screws": count}
+                paths = [
+                    make_scene(Path(folder) / f"{count}-{index}", options.seed + index, given)
+                    for index in range(options.cases)
+                ]
+                blocks[f"{count} screws"] = in_fresh_process(paths, options.rounds)
+                console.print(count, quartiles([row["solve_s"] for row in blocks[f"{count} screws"]["records"]]))
                 keep()
     if "paper" in options.parts:
         for timed in beside_paper(options.seed, options.cases, options.rounds, options.opencv):

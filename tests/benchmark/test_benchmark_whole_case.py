@@ -45,3 +45,22 @@ def test_the_part_against_paper_says_each_case_and_all(
     assert "| paper, bit rows | 3.00 (3.00 to 3.00; p90 3.00) | 3.30 (3.15 to 3.45; p90 3.54) |" in lines
     kept = json.loads((out / "whole_case.json").read_text())
     assert (kept["blocks"], len(kept["paper"])) == ({}, 9)
+
+
+def test_every_step_that_is_timed_is_there(whole_case: ModuleType) -> None:
+    for step, place in whole_case._STEPS.items():
+        module, name = place.split(":")
+        assert callable(getattr(importlib.import_module(module), name, None)), step
+
+
+def test_the_power_of_growth_by_hand(whole_case: ModuleType) -> None:
+    screws = [2.0, 4.0, 8.0]
+    assert whole_case.power_of_growth(screws, [3.0, 12.0, 48.0]) == pytest.approx(2.0)
+    assert whole_case.power_of_growth(screws, [1.0, 1.0, 1.0]) == pytest.approx(0.0)
+    rows = {
+        count: [{"solve_s": 0.5 * count, "steps_s": {"plausibility": 0.01, "combinations": 0.01 * count**2 - 0.01}}]
+        for count in (2, 4, 8, 12, 16)
+    }
+    page = whole_case.growth_page({f"{count} screws": {"records": found} for count, found in rows.items()})
+    assert "| solve | 1.000 | 2.000 | 4.000 | 6.000 | 8.000 | 1.00 |" in page.splitlines()
+    assert page.splitlines()[-1].endswith("| 2.00 |")
