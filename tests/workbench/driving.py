@@ -141,7 +141,8 @@ class Driver:
 
     def mark(self, view: str, tip, center) -> None:
         """A whole screw, seen near; the whole image again afterwards."""
-        self.zoom_to(view, [(a + b) / 2 for a, b in zip(tip, center, strict=True)], 6.0)
+        long_px = max(abs(a - b) for a, b in zip(tip, center, strict=True))
+        self.zoom_to(view, [(a + b) / 2 for a, b in zip(tip, center, strict=True)], min(6.0, 220.0 / long_px))
         self.click_point(view, tip)
         self.text(f"{view} ").wait_for()
         self.page.wait_for_function(f"window.screwposeViewers['{view}'].state.begun !== null")
