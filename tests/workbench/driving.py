@@ -1,5 +1,6 @@
 """A server as a user starts it, a tab on it, and what a person does there."""
 
+import asyncio
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 CHROMIUM = os.environ.get("SCREWPOSE_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
@@ -153,6 +155,12 @@ class Driver:
     def solved(self) -> None:
         """Wait for the answer."""
         self.text("Combinations").wait_for()
+
+
+def awaited(work):
+    """What a coroutine gives. In a thread of its own: the browser's driver has a loop running in this one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, work).result()
 
 
 def case_in(folder: Path) -> dict:

@@ -1,6 +1,5 @@
 """Who may ask, and how much: without a browser, which would not send most of this."""
 
-import asyncio
 import http.client
 import json
 import socket
@@ -9,7 +8,7 @@ import zlib
 import pytest
 
 from screwpose.workbench.guard import COOKIE, LARGEST_UPLOAD_BYTES, LOOPBACK, Guard
-from tests.workbench.driving import case_in
+from tests.workbench.driving import awaited, case_in
 
 HOME = "http://127.0.0.1:8000"
 
@@ -48,7 +47,7 @@ def told(kind="http", method="GET", query="", body=(b"",), token=None, **headers
     async def send(message):
         sent.append(message)
 
-    asyncio.run(Guard(application, LOOPBACK, 8000, token)(scope, receive, send))
+    awaited(Guard(application, LOOPBACK, 8000, token)(scope, receive, send))
     if kind == "websocket":
         return sent[0]["type"]
     if not sent:

@@ -16,6 +16,7 @@ from screwpose.solve import SolveOptions, solve
 from screwpose.workbench.process import Child, TaskError
 from screwpose.workbench.reviewing import moved_by_hand
 from screwpose.workbench.tasks import TASKS
+from tests.workbench.driving import awaited
 
 
 def silent(_fraction, _what):
@@ -36,7 +37,7 @@ def asked(*tasks, memory_bytes=4 * 2**30, quiet_s=60.0):
         await child.gone()
         return answers
 
-    return asyncio.run(ask())
+    return awaited(ask())
 
 
 def test_a_task_that_wants_too_much_memory_is_refused_and_the_next_one_is_done():
@@ -60,7 +61,7 @@ def test_a_process_that_is_ended_tells_who_waits():
             await waiting
         await child.gone()
 
-    asyncio.run(ask())
+    awaited(ask())
 
 
 def test_looking_finds_what_is_wrong_and_which_marks_belong_together(simulated, tmp_path):
