@@ -119,7 +119,7 @@ class ReviewPanel:
                 ui.icon(_STATUS_ICONS[data["status"]])
                 ui.label(data["status"].capitalize()).classes("heading grow")
                 if data["probability"] is not None:
-                    ui.label(f"pairing {100 * data['probability']:.1f} %").classes("small")
+                    ui.label(f"pairing {data['probability']}").classes("small")
             ui.label(data["meaning"]).classes("small")
             if choice is not None:
                 ui.label(f"The pairing is yours, not the solver's ({choice.when}): {choice.reason}").classes(

@@ -60,7 +60,7 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
     from screwpose.report.shadows import mask_outlines
     from screwpose.report.space import arrange, page_data
     from screwpose.report.tables import chosen_combination, combination_table
-    from screwpose.report.words import SCREW_STATUS_WORDS, STATUS_WORDS, expected_error_text, pairing_story
+    from screwpose.report.words import SCREW_STATUS_WORDS, STATUS_WORDS, expected_error_text, pairing_story, percent
 
     tell(0.1, "reading the result")
     seen = _reviewed(folder)
@@ -70,7 +70,7 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
     space = arrange(seen.case, seen.result, drawings, seen.palette)
     chosen = chosen_combination(answer)
     metal = {
-        name: [_flat(one) for one in mask_outlines(~target.metal)[1:]] for name, target in seen.evidence.targets.items()
+        name: [_flat(one) for one in mask_outlines(target.metal)[1:]] for name, target in seen.evidence.targets.items()
     }
     table = combination_table([answer]).without("set")
     screws: list[dict[str, Any]] = []
@@ -97,7 +97,7 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
         "status": answer.status,
         "meaning": STATUS_WORDS[answer.status].meaning,
         "story": pairing_story(seen.case, answer),
-        "probability": answer.pairing.probability,
+        "probability": None if answer.pairing.probability is None else percent(answer.pairing.probability),
         "warnings": [one for one in answer.warnings if one not in about_screws],
         "chosen": None if chosen is None else chosen.id,
         "combinations": [
