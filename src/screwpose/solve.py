@@ -20,6 +20,7 @@ from screwpose.pairing.cameras import CameraMode, with_sigmas
 from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge, judged_again
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
+from screwpose.pairing.holding import HeldScrew, begun_poses, held_combination
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
 from screwpose.pairing.image_evidence import log_odds_of_pairs
 from screwpose.pairing.plausibility import check_plausibility
@@ -65,6 +66,7 @@ class SolveOptions:
     engine : how masks are drawn; None: as in the paper for `paper`, else the fast one.
     cameras : whether cameras are refined with the poses, in the registration by thickness: never, as the case's views
         say, or also where they say nothing.
+    held : the pairing of a person: it is the answer, and how likely it is stands in the result. None: the method's own.
     """
 
     method: Method = "default"
@@ -76,6 +78,7 @@ class SolveOptions:
     engine: Engine | None = None
     refinement: Refinement | None = None
     cameras: CameraMode = "given"
+    held: tuple[HeldScrew, ...] | None = None
 
 
 def solve(case: Case, options: SolveOptions | None = None, progress: Progress | None = None) -> Result:
@@ -95,6 +98,8 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     ------
     BehindSourceError
         A model, laid on its landmarks, reaches behind an X-ray source.
+    AnnotationError
+        A pairing is held to whose marks cannot be one screw, or are not in the case.
 
     References
     ----------
@@ -110,13 +115,22 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     table = HypothesisTable(case, options.noise, _FITS[options.method])
     ranking = ranked_pairings(case, options.noise, table, options.combinations)
     ranked = ranking.shown(options.combinations)
+    if options.held is not None:
+        held = held_combination(case, table, ranking, [one.labels for one in options.held])
+        ranked = [held, *(one for one in ranked if one is not held)]
     if errors_in(findings) or not ranked:
         reasons = [finding.within_file() for finding in findings] or ["no two marks can be one screw"]
         return refused(case, reasons, clock.read("pairing"))
 
     evidence = _gathered(case, options)
     placed = _placed(evidence, ranked, _within(tell, 0.02, 0.15))
+    if options.held is not None:
+        placed = [
+            begun_poses(combination, poses, options.held) for combination, poses in zip(ranked, placed, strict=True)
+        ]
     evidence = with_metal(evidence, case, list(zip(ranked, placed, strict=True)))
+    if options.held is not None:  # the others say which metal counts, as where nothing is held, and no more
+        ranked, placed = ranked[:1], placed[:1]
     trials = [
         Trial(combination, ranking.probability_of(combination), poses, score(evidence, combination, poses))
         for combination, poses in zip(ranked, placed, strict=True)
@@ -262,7 +276,9 @@ def _registered_by_thickness(
     others = [trial for trial in trials if trial not in promising] + [trial for trial in done if trial is not chosen]
     others = [replace(trial, probability=weighed.probability_of(trial.combination)) for trial in others]
     chosen = replace(chosen, probability=weighed.probability_of(chosen.combination))
-    return [_without_open_pairs(evidence, chosen, weighed), *sorted(others, key=_ORDERS[options.method])], weighed
+    if options.held is None:  # a person's pairs are the answer, however open they are
+        chosen = _without_open_pairs(evidence, chosen, weighed)
+    return [chosen, *sorted(others, key=_ORDERS[options.method])], weighed
 
 
 def _judged_by_marks(trials: list[Trial], ranking: Ranking) -> Ranking:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from screwpose import _compiling
-from screwpose.cli import jobs
+from screwpose import _compiling, jobs
 
 _ASK = "from screwpose._compiling import must_compile; print(must_compile())"
 _RUN = """
@@ -41,7 +40,7 @@ def test_the_first_run_compiles_and_the_next_does_not(tmp_path: Path) -> None:
 def test_progress_says_so(first: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jobs, "must_compile", lambda: first)
     told = []
-    jobs._saying_that_it_compiles(lambda fraction, what: told.append((fraction, what)))(0.5, "judging")
+    jobs.saying_that_it_compiles(lambda fraction, what: told.append((fraction, what)))(0.5, "judging")
     assert told == [(0.5, "judging (compiling, once after installation)" if first else "judging")]
 
 

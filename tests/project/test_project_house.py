@@ -25,7 +25,9 @@ FLOORS = {
     "report": 4,
     "pairing": 5,
     "solve": 6,
+    "jobs": 6,
     "benchmark": 7,
+    "workbench": 7,
     "cli": 8,
     "__main__": 9,
 }

@@ -136,8 +136,8 @@ def check(
     quiet: Quiet = False,
 ) -> None:
     """Say everything that can be known to be wrong with CASE before solving, all at once."""
-    from screwpose.cli.jobs import check_files
     from screwpose.cli.words import told_findings
+    from screwpose.jobs import check_files
 
     findings = check_files(case, landmark_sigma)
     errors = sum(finding.level == "error" for finding in findings)
@@ -234,6 +234,32 @@ def simulate(
 
 
 app.command()(bench)
+
+
+@app.command("open")
+@answers_errors
+def open_workbench(
+    path: Annotated[
+        Path | None, typer.Argument(help="A case, or a folder of cases; without it the folder screwpose-cases at home.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Where it listens; 0: any that is free.")] = 0,
+    host: Annotated[
+        str, typer.Option(help="Another address to listen on; then the printed address has a token that is asked for.")
+    ] = "127.0.0.1",
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the browser.")] = False,
+) -> None:
+    """Open the workbench: mark, solve, review and export a case in the browser."""
+    import threading
+    import webbrowser
+
+    from screwpose.workbench import serve
+
+    def ready(address: str) -> None:
+        typer.echo(f"The workbench is ready; Ctrl-C ends it. Research software, not a medical device.\n{address}")
+        if not no_browser:
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+    serve(path, ready, host, port)
 
 
 @model_app.command("inspect")

@@ -3,12 +3,11 @@
 from pathlib import Path
 from time import perf_counter
 
-from screwpose._compiling import NOTE, must_compile
 from screwpose.errors import OutputError
 from screwpose.files.atomic import atomic_folder, ensure_can_write_folder
-from screwpose.files.case import Case, inspect_case, read_case
-from screwpose.files.findings import Finding, errors_in
+from screwpose.files.case import Case, read_case
 from screwpose.files.result import Result, with_load_time
+from screwpose.jobs import saying_that_it_compiles
 from screwpose.registration import Progress
 from screwpose.report.comparison import Comparison
 from screwpose.solve import SolveOptions, solve
@@ -33,7 +32,7 @@ def solve_files(
     progress(0.0, "reading the case")
     case = read_case(case_path)
     loaded = perf_counter() - start
-    solving = _saying_that_it_compiles(lambda fraction, what: progress(0.02 + 0.88 * fraction, what))
+    solving = saying_that_it_compiles(lambda fraction, what: progress(0.02 + 0.88 * fraction, what))
     result = with_load_time(solve(case, options, solving), loaded)
     comparison = None if truth_origin is None else _compared(case, result, Path(case_path), truth_origin)
     with atomic_folder(out) as partial:
@@ -62,32 +61,12 @@ def run_demo(
         start = perf_counter()
         case = read_case(case_path)
         loaded = perf_counter() - start
-        solving = _saying_that_it_compiles(lambda fraction, what: progress(0.05 + 0.85 * fraction, what))
+        solving = saying_that_it_compiles(lambda fraction, what: progress(0.05 + 0.85 * fraction, what))
         solved = solve(case, options, solving)
         result = with_load_time(solved, loaded)
         comparison = _compared(case, result, case_path, "simulated")
         write_report(partial, case, result, comparison, lambda fraction, what: progress(0.9 + 0.1 * fraction, what))
     return result, comparison
-
-
-def check_files(case_path: str | Path, landmark_sigma_px: float) -> tuple[Finding, ...]:
-    """Everything that can be known to be wrong with a case: its files, then whether they agree with each other."""
-    from screwpose.pairing.cameras import with_sigmas
-    from screwpose.pairing.plausibility import check_plausibility
-    from screwpose.pairing.segment import LandmarkNoise
-
-    case, findings = inspect_case(case_path)
-    if case is None or errors_in(findings):
-        return findings
-    noise = LandmarkNoise(sigma_px=landmark_sigma_px)
-    return findings + check_plausibility(with_sigmas(case, "given", noise), noise)
-
-
-def _saying_that_it_compiles(progress: Progress) -> Progress:
-    """The same progress, each word followed by why it takes so long where it is the first time."""
-    if not must_compile():
-        return progress
-    return lambda fraction, what: progress(fraction, f"{what} ({NOTE})")
 
 
 def _refuse_to_replace(case_path: Path, out: Path) -> None:

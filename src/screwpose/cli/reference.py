@@ -51,11 +51,11 @@ def _leaves(path: str, command: Any) -> Iterator[tuple[str, Any]]:
 def _section(path: str, command: Any) -> str:
     arguments = [one for one in command.params if one.param_type_name == "argument"]
     options = [one for one in command.params if one.param_type_name == "option"]
-    words = [one.name.upper() for one in arguments]
+    words = [one.name.upper() if one.required else f"[{one.name.upper()}]" for one in arguments]
     words += [f"{one.opts[0]} {_value(one)}".strip() for one in options if one.required]
     lines = [f"\n## {path}\n", f"{command.help}\n", f"```text\n{' '.join([path, *words, '[OPTIONS]'])}\n```\n"]
     lines += ["| | | default |", "| :--- | :--- | :--- |"]
-    lines += [f"| `{one.name.upper()}` | {one.help} | required |" for one in arguments]
+    lines += [f"| `{one.name.upper()}` | {one.help} | {'required' if one.required else ''} |" for one in arguments]
     lines += [f"| {_spelling(one)} | {one.help} | {_default(one)} |" for one in options]
     return "\n".join(lines) + "\n"
 

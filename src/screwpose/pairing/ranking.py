@@ -63,9 +63,9 @@ class Ranking:
         return [one for one in self.combinations if most and len(one.hypotheses) == most][:count]
 
     def probability_of(self, combination: Combination) -> float:
-        """Of one of the combinations."""
-        index = next(i for i, one in enumerate(self.combinations) if one is combination)
-        return float(self.probabilities[index])
+        """Of one of the combinations; 0 of another, which is then less probable than all that were kept."""
+        index = next((i for i, one in enumerate(self.combinations) if one is combination), None)
+        return 0.0 if index is None else float(self.probabilities[index])
 
     def with_probabilities(self, known: Mapping[Combination, float]) -> "Ranking":
         """The same where more is known of some combinations, without changing what they have together."""

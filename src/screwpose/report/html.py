@@ -16,7 +16,7 @@ from screwpose.report.comparison import Comparison
 from screwpose.report.drawings import Drawings
 from screwpose.report.overlays import Box, GreyArray, display_grey
 from screwpose.report.palette import Palette, screw_name
-from screwpose.report.shadows import Shadow
+from screwpose.report.shadows import Shadow, mask_outlines
 from screwpose.report.space import Space, page_data
 from screwpose.report.still import still_picture
 from screwpose.report.tables import combination_table, pairs_text
@@ -145,7 +145,7 @@ def _picture(view: View, case: Case, result: Result, drawings: Drawings) -> dict
             for name, key in zip(names, keys, strict=True)
         ],
         "truth": [_path(one.outlines) for one in drawings.truth[view.name]],
-        "mask": "" if view.mask.all() else _path(_mask_outlines(view)),
+        "mask": "" if view.mask.all() else _path(mask_outlines(view.mask)),
     }
 
 
@@ -210,17 +210,6 @@ def _shadow(shadow: Shadow) -> dict[str, Any]:
 def _path(outlines: Sequence[FloatArray]) -> str:
     """Closed polygons as an SVG path."""
     return "".join(f"M{' '.join(f'{u:.2f},{v:.2f}' for u, v in outline)}Z" for outline in outlines)
-
-
-def _mask_outlines(view: View) -> list[FloatArray]:
-    """The border of what counts, with the image's frame round it: the even-odd rule then fills what does not count."""
-    import cv2
-
-    width, height = view.radiograph.size
-    contours, _ = cv2.findContours(view.mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    inside = [np.asarray(contour[:, 0], dtype=np.float64) for contour in contours if len(contour) >= 3]
-    frame = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
-    return [frame, *inside]
 
 
 def _view_box(box: Box) -> str:

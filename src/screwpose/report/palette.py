@@ -40,7 +40,7 @@ class Palette:
     def of_case(cls, case: Case) -> "Palette":
         """Inks by (view, label), the first view's screws first."""
         keys = [(view, annotation.label) for view in case.views for annotation in case.annotations.get(view, ())]
-        return cls({key: _ink(index) for index, key in enumerate(dict.fromkeys(keys))}, tuple(case.views))
+        return cls({key: ink_of(index) for index, key in enumerate(dict.fromkeys(keys))}, tuple(case.views))
 
     def ink(self, labels: Mapping[str, str]) -> Ink:
         """The ink of a screw with these labels by view; neutral where no view of the case knows it."""
@@ -50,7 +50,8 @@ class Palette:
         return Ink(NEUTRAL)
 
 
-def _ink(index: int) -> Ink:
+def ink_of(index: int) -> Ink:
+    """The ink of the screw that comes so far down the list of a case's marks."""
     return Ink(_COLORS[index % len(_COLORS)], _DASHES[index // len(_COLORS) % len(_DASHES)])
 
 

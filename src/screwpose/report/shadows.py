@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from screwpose._types import FloatArray, IntArray
+from screwpose._types import BoolArray, FloatArray, IntArray
 from screwpose.files.case import View
 from screwpose.files.result import PosedImplant
 from screwpose.geometry.camera import Camera
@@ -93,6 +93,17 @@ def trace_outlines(vertices_px: FloatArray, faces: IntArray, shape: tuple[int, i
         if len(polygon) >= 3 and cv2.contourArea(polygon) >= _SMALLEST_HOLE_PX2:
             outlines.append(polygon.astype(np.float64))
     return tuple(outlines)
+
+
+def mask_outlines(mask: BoolArray) -> list[FloatArray]:
+    """The border of what counts, with the image's frame round it: the even-odd rule then fills what does not count."""
+    import cv2
+
+    height, width = mask.shape
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    inside = [np.asarray(contour[:, 0], dtype=np.float64) for contour in contours if len(contour) >= 3]
+    frame = np.array([[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]])
+    return [frame, *inside]
 
 
 def _projected(camera: Camera, points_in_cad_mm: FloatArray, world_from_cad: FloatArray) -> FloatArray | None:
