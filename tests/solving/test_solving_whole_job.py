@@ -227,7 +227,7 @@ def test_a_warning_of_the_checks_takes_the_confidence(
 def test_a_model_that_has_left_its_marks_is_to_be_checked(
     simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("screwpose.pairing.answer._FAR_MARK_SIGMAS", 0.1)
+    monkeypatch.setattr("screwpose.pairing.landmark_fit.FAR_MARK_SIGMAS", 0.1)
     few = replace(QUICK, search=SearchOptions(generations=1, population=1))
     answer = solve(simulated[0], few).answer
     assert answer.status == "ambiguous"

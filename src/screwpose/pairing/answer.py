@@ -32,7 +32,7 @@ from screwpose.pairing.cameras import CamerasFit, in_cameras
 from screwpose.pairing.confidence import Confidence
 from screwpose.pairing.evidence import Evidence, Poses, score_each
 from screwpose.pairing.hypotheses import Combination
-from screwpose.pairing.landmark_fit import landmark_offsets_px
+from screwpose.pairing.landmark_fit import doubts_by_marks, landmark_offsets_px
 from screwpose.pairing.ranking import Ranking
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.pairing.thickness import Quality
@@ -62,8 +62,6 @@ _UNSEEN_ROLL = (
 # screws whose towers lean 3 degrees and more at most 0.47 in one of them.
 _CHECK_ENERGY = 0.5
 _FAILED_ENERGY = 0.1
-# A registered model this many sigma from a mark has left its landmark (or the landmark was wrong).
-_FAR_MARK_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ def answered(
     refined = None if trials[0].quality is None else trials[0].quality.cameras
     if refined is not None:  # the poses are in these cameras
         case, evidence = in_cameras(case, refined.cameras), replace(evidence, cameras=refined.cameras)
-    screws, doubts, unseen = _screws(case, evidence, trials[0], noise)
+    screws, doubts, unseen = _screws(case, evidence, trials[0], noise, ranking.scale)
     status = "ambiguous" if confidence.status == "confident" and doubts else confidence.status
     unpaired = trials[0].combination.unpaired
     alone = [f"{view} {label} has no partner" for view, labels in unpaired.items() for label in labels]
@@ -201,7 +199,7 @@ def _cameras(refined: CamerasFit) -> dict[str, CameraResultFile]:
 
 
 def _screws(
-    case: Case, evidence: Evidence, trial: Trial, noise: LandmarkNoise
+    case: Case, evidence: Evidence, trial: Trial, noise: LandmarkNoise, scale: float
 ) -> tuple[tuple[ScrewResultFile, ...], list[str], list[str]]:
     """Each screw's pose and status, and in words why one is in doubt, and what of one cannot be seen."""
     combination = trial.combination
@@ -226,10 +224,8 @@ def _screws(
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
             )
-        for view, offsets in landmark_offsets_px(case, implant, hypothesis.by_view, pose).items():
-            far_px = float(np.abs(offsets).max())
-            if far_px > _FAR_MARK_SIGMAS * noise.sigma_px:
-                words.append(f"the registered model is {far_px:.0f} px from its landmarks in {view}")
+        offsets_px = landmark_offsets_px(case, implant, hypothesis.by_view, pose)
+        words += doubts_by_marks(offsets_px, noise.sigma_px, scale)
         doubts += [f"screw {hypothesis.name}: {word}" for word in words]
         screws.append(
             ScrewResultFile(
