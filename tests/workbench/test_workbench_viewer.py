@@ -35,7 +35,7 @@ def seen_once(tab, holds, view="AP"):
         picture, _ = seen(tab, view)
         if holds(picture):
             return picture
-        assert time.monotonic() < end, "the screen never showed it"
+        assert time.monotonic() < end, f"the screen never showed it, but {colourful(picture)} coloured pixels"
 
 
 def colourful(picture):
