@@ -96,8 +96,9 @@ class Driver:
         return self.page.get_by_role("application", name=f"X-ray {view}")
 
     def go(self, stage: str) -> None:
-        """To another stage."""
+        """To another stage, and there: a `Solve` of the stage before, clicked while it goes, is never heard."""
         self.button(stage).click()
+        self.page.locator(".stages button[aria-current=page]", has_text=stage).wait_for()
 
     def see_xrays(self) -> None:
         """Wait until both X-rays are on the screen."""

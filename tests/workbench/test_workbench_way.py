@@ -156,6 +156,9 @@ def test_by_keys_alone(workspace, serve, open_tab):
         for which, key in (("tip", "n"), ("center", "Enter")):
             press(key)
             tab.page.wait_for_function(f"window.screwposeViewers['{view}'].state.selected?.which === '{which}'")
+            tab.page.wait_for_function(
+                f"!!window.screwposeViewers['{view}'].state.begun === {json.dumps(which == 'tip')}"
+            )
             here = tab.page.evaluate(
                 """([view, which]) => { const s = window.screwposeViewers[view].state;
                 return s.begun ? s.begun.tip : s.marks.find((m) => m.label === s.selected.label)[which]; }""",
@@ -167,7 +170,9 @@ def test_by_keys_alone(workspace, serve, open_tab):
                     for _ in range(int(abs(left) / step)):
                         press(held + names[int(left > 0)])
                     left -= np.sign(left) * step * int(abs(left) / step)
-            tab.page.wait_for_timeout(400)  # a hand rests
+            tab.page.wait_for_function(
+                f"(({{ state, turn }}) => state.heard === turn)(window.screwposeViewers['{view}'])"
+            )
     marks = case_in(folder)["annotations"]
     for view in ("AP", "LAT"):
         np.testing.assert_allclose(marks[view][-1]["tip"], given["annotations"][view][-1]["tip"], atol=1.5)

@@ -207,6 +207,8 @@ class MarkPanel:
 
     def _moved(self, view: str, event: events.GenericEventArguments) -> None:
         page, session = self._page, self._page.session
+        if "turn" in event.args and view in page.viewers:
+            page.viewers[view].set(heard=int(event.args["turn"]))
         if not page.may_edit:
             return
         label, which = str(event.args["label"]), "tip" if event.args["which"] == "tip" else "center"

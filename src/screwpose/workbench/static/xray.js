@@ -56,12 +56,13 @@ export default {
 
   mounted() {
     this.state = { marks: [], begun: null, pairs: [], outlines: [], metal: [], outside: [], ellipses: [], epipolar: {},
-      layers: {}, mode: "mark", selected: null, editable: true, brush: 20, counts: false, light: false };
+      layers: {}, mode: "mark", selected: null, heard: 0, editable: true, brush: 20, counts: false, light: false };
     this.levels = [];
     this.place = { u: 0, v: 0, zoom: 1 }; // the image position in the middle, and screen pixels an image pixel
     this.bounds = [0, 65535]; this.inverted = false; this.loupe = true;
     this.cursor = null; this.line = null; this.drag = null; this.touches = new Map(); this.trail = null;
     this.times = []; this.drawn = 0; this.blink = true;
+    this.turn = 0; this.stepped = null; this.later = null;
     this.label = `X-ray ${this.name}. Press ? for keys.`;
     const over = this.$refs.over;
     for (const [kind, act] of Object.entries({ pointerdown: this.down, pointermove: this.move, pointerup: this.up,
@@ -90,6 +91,7 @@ export default {
     // ---- what the server says
     set(changes) {
       Object.assign(this.state, changes);
+      this.keepStepped();
       this.$el.classList.toggle("painting", this.state.mode === "paint");
       this.ask();
     },
@@ -392,6 +394,7 @@ export default {
     },
     down(event) {
       this.$refs.over.focus();
+      this.rest();
       this.$refs.over.setPointerCapture(event.pointerId);
       this.touches.set(event.pointerId, event);
       const at = this.toImage(event), s = this.state;
@@ -496,6 +499,7 @@ export default {
       const s = this.state, arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
       const far = event.altKey ? 10 : event.shiftKey ? 1 : 0.1;
       let known = true;
+      if (!(event.key in arrows) && !["Shift", "Alt"].includes(event.key)) this.rest(); // what follows is about the point as it is
       if (event.key in arrows) {
         const [x, y] = arrows[event.key];
         if (s.mode === "pose" && s.editable && s.selected) this.$emit("nudged", { name: s.selected, u: x * far, v: y * far, done: true });
@@ -517,7 +521,8 @@ export default {
       else known = false;
       if (known) { event.preventDefault(); event.stopPropagation(); }
     },
-    // A point moves at once on the screen; the server hears of the last place when the hand rests.
+    // A point moves at once on the screen; the server hears of the last place when the hand rests. Until it answers to
+    // the last step, what it says of the point is where an earlier rest was: the next step must not begin there.
     step(du, dv) {
       const { label, which } = this.state.selected, begun = this.state.begun?.label === label;
       const one = begun ? this.state.begun : this.state.marks.find((mark) => mark.label === label);
@@ -525,10 +530,24 @@ export default {
       if (!point) return;
       point[0] += du; point[1] += dv;
       this.cursor = [...point];
+      this.stepped = { label, which: begun ? "tip" : which, u: point[0], v: point[1], turn: ++this.turn };
       this.tell();
       this.ask();
       clearTimeout(this.later);
-      this.later = setTimeout(() => this.$emit("moved", { label, which: begun ? "tip" : which, u: point[0], v: point[1] }), 120);
+      this.later = setTimeout(() => this.rest(), 120);
+    },
+    rest() {
+      if (!this.later) return;
+      clearTimeout(this.later);
+      this.later = null;
+      this.$emit("moved", this.stepped);
+    },
+    keepStepped() {
+      if (!this.stepped || this.state.heard >= this.turn) { this.stepped = null; return; }
+      const { label, which, u, v } = this.stepped, s = this.state;
+      if (which === "tip" && s.begun?.label === label) s.begun.tip = [u, v];
+      const one = s.marks.find((mark) => mark.label === label);
+      if (one) one[which] = [u, v];
     },
   },
 };
