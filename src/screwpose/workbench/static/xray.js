@@ -197,8 +197,7 @@ export default {
       const began = performance.now(), gl = this.gl, over = this.$refs.over;
       if (!over) return;
       const draw = over.getContext("2d");
-      draw.setTransform(1, 0, 0, 1, 0, 0);
-      draw.clearRect(0, 0, over.width, over.height);
+      draw.reset();  // not clearRect: where nothing visible is drawn after it, Chromium may go on showing what was there
       if (!gl || !this.levels.length) return;
       const { u, v, zoom } = this.place;
       gl.enable(gl.SCISSOR_TEST);
