@@ -58,7 +58,9 @@ def chromium() -> Iterator[object]:
 def open_tab(chromium):
     """Open tabs in a browser profile of their own; an error in the page fails the test."""
     context = chromium.new_context(viewport={"width": 1280, "height": 720}, accept_downloads=True)
-    context.set_default_timeout(60_000)
+    context.set_default_timeout(
+        300_000
+    )  # a first solve after installation compiles, which takes minutes on a busy machine
     drivers = []
 
     def start(address: str) -> Driver:

@@ -219,7 +219,7 @@ def test_a_broken_or_hostile_file_of_each_kind_is_refused_in_words(simulated, wo
     tab.page.wait_for_function("document.querySelectorAll('.preview').length === 2")
     tab.give_files(*(place / name for name in files))
     tab.page.wait_for_function(
-        f"document.querySelectorAll('.span .finding.error').length === {len(files)}", timeout=150_000
+        f"document.querySelectorAll('.span .finding.error').length === {len(files)}", timeout=300_000
     )
     said = "\n".join(tab.page.locator(".span .finding").all_inner_texts())
     for name in files:
