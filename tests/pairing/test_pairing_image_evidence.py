@@ -5,7 +5,7 @@ import pytest
 
 from screwpose.pairing import LandmarkNoise, ranked_pairings
 from screwpose.pairing.hypotheses import Hypothesis
-from screwpose.pairing.image_evidence import log_odds_of_energy, log_odds_of_pairs
+from screwpose.pairing.image_evidence import least_energies, log_odds_of_energy, log_odds_of_pairs
 from screwpose.pairing.ranking import Ranking
 from tests.pairing.scenes import camera, case_of, screws
 
@@ -34,6 +34,16 @@ def test_the_view_that_shows_least_counts_in_the_best_company(ranking: Ranking) 
         ]
     )
     assert found == {first: pytest.approx(20.0 * (0.53 - 0.55)), second: pytest.approx(20.0 * (0.56 - 0.55))}
+
+
+def test_a_view_in_which_no_pair_explains_much_is_held_against_none() -> None:
+    """As in X-rays of another simulator, of which right models explain a quarter in LAT."""
+    both = [{"AP": 0.9, "LAT": 0.27}, {"AP": 0.8, "LAT": 0.25}]
+    np.testing.assert_allclose(least_energies(both), [0.55, 0.53])
+    # One that explains enough says that the others could.
+    third = [*both, {"AP": 0.9, "LAT": 0.6}]
+    np.testing.assert_allclose(least_energies(third), [0.27, 0.25, 0.6])
+    np.testing.assert_allclose(least_energies(both[:1]), [0.27])
 
 
 def test_every_pairing_that_has_the_pair_shares_its_odds(ranking: Ranking) -> None:

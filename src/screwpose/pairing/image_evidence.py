@@ -5,7 +5,7 @@ the landmarks then are sure, and wrong. The X-rays are not: a model that is laid
 that holds it most, and little of the edges at the other mark.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -29,6 +29,22 @@ def log_odds_of_energy(least_energy: float) -> float:
     return float(np.clip(_SLOPE * (least_energy - _EVEN_ENERGY), -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
 
 
+def least_energies(of_pairs: Sequence[Mapping[str, float]]) -> list[float]:
+    """Of each pair of a combination the explained energy of the view with least, (B,).
+
+    How much a right model explains differs from X-ray to X-ray: where even the best of several pairs explains less than
+    speaks for neither, what the view shows of all of them is raised to that. Of a pair by itself nobody can tell.
+
+    Parameters
+    ----------
+    of_pairs : for each pair the explained energy by view name, all of the same views.
+    """
+    lift: dict[str, float] = {}
+    if len(of_pairs) > 1:
+        lift = {view: max(_EVEN_ENERGY - max(one[view] for one in of_pairs), 0.0) for view in of_pairs[0]}
+    return [min(energy + lift.get(view, 0.0) for view, energy in one.items()) for one in of_pairs]
+
+
 def log_odds_of_pairs(
     registered: Iterable[tuple[tuple[Hypothesis, ...], tuple[Mapping[str, float], ...]]],
 ) -> dict[Hypothesis, float]:
@@ -41,6 +57,6 @@ def log_odds_of_pairs(
     """
     least: dict[Hypothesis, float] = {}
     for pairs, energies in registered:
-        for pair, of_views in zip(pairs, energies, strict=True):
-            least[pair] = max(min(of_views.values()), least.get(pair, -np.inf))
+        for pair, energy in zip(pairs, least_energies(energies), strict=True):
+            least[pair] = max(energy, least.get(pair, -np.inf))
     return {pair: log_odds_of_energy(energy) for pair, energy in least.items()}
