@@ -12,7 +12,7 @@ from screwpose.errors import CancelledError, ScrewposeError
 from screwpose.workbench.draft import Draft
 from screwpose.workbench.process import Child, TaskError
 from screwpose.workbench.side_file import Begun, Choice, HeldPose
-from screwpose.workbench.store import CaseStore
+from screwpose.workbench.store import RESULT_FOLDER, CaseStore
 
 LOG = logging.getLogger(__name__)
 
@@ -103,7 +103,7 @@ class Session:
     @property
     def is_solved(self) -> bool:
         """Whether there is a result, of this case or of an older state of it."""
-        return (self.store.folder / "result" / "result.json").exists()
+        return (self.store.folder / RESULT_FOLDER / "result.json").exists()
 
     @property
     def is_stale(self) -> bool:
