@@ -11,7 +11,14 @@ from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, Mesh, ScrewDesign, make_screw
 from screwpose.implants.symmetry import surface_sample
 from screwpose.registration import alternatives
-from screwpose.registration.alternatives import Rival, compared_again, other_ways, screwed, thread_lead_mm
+from screwpose.registration.alternatives import (
+    Rival,
+    close_ways,
+    compared_again,
+    other_ways,
+    screwed,
+    thread_lead_mm,
+)
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
 from screwpose.registration.recipe import STAGES, fit_by_thickness, settled
@@ -121,6 +128,20 @@ def test_sharper_images_decide_what_coarser_ones_left_open() -> None:
     assert abs(rivals[0].turn_deg) > 170.0
     assert rivals[0].preference > 1.0
     assert rivals[1] is clear_rival
+
+
+@pytest.mark.parametrize("turn_deg", [3.5, -8.0, 16.0])
+def test_a_screw_that_stopped_a_few_degrees_along_its_thread_goes_home_on_sharp_images(turn_deg: float) -> None:
+    lead_mm = thread_lead_mm(screw(), screw().mesh)
+    stopped = screwed(screw(), truth(), np.radians(turn_deg), lead_mm)
+    close = close_ways(views(1), [body()], [stopped], [lead_mm])
+    assert min(abs(one.turn_deg + turn_deg) for one in close) <= 3.5
+    assert [one.shift_mm for one in close] == pytest.approx([lead_mm * one.turn_deg / 360.0 for one in close])
+    best, _ = compared_again(views(1), [body()], [stopped], close, 3.0, 10, 0.002)
+    off = rigid.log_rotation(best[0][:3, :3] @ truth()[:3, :3].T)
+    assert np.degrees(np.linalg.norm(off)) < 1.0
+    assert close_ways(views(1), [body()], [truth()], [lead_mm]) == []
+    assert close_ways(views(1), [body()], [stopped], [0.0]) == []
 
 
 def test_the_images_prefer_the_truth_and_say_by_how_much() -> None:

@@ -5,35 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from screwpose.geometry import Camera, rigid
-from screwpose.implants import Implant, ScrewDesign, make_screw
+from screwpose.geometry import rigid
+from screwpose.implants import Implant
 from screwpose.implants.model import Mesh
 from screwpose.registration import uncertainty
-from screwpose.registration.landmark_prior import MarkedScrew
-from screwpose.registration.thickness_fit import Body, fit_at_scale
+from screwpose.registration.thickness_fit import fit_at_scale
 from screwpose.registration.uncertainty import ExpectedError, expected_errors, joint_covariance
-from screwpose.similarity.thickness import GradientTarget, make_gradient_target
-from screwpose.simulation.pathlength import path_length_mm
+from tests.registration.drawn_scene import BESIDE, POSE, SCREW, body, drawn
 
-SIZE = (300, 300)
-K = np.array([[1300.0, 0, 149.5], [0, 1300.0, 149.5], [0, 0, 1]])
-CAMERAS = [
-    Camera.from_matrix(K @ np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 600]]), SIZE),
-    Camera.from_matrix(K @ np.array([[0, 0, -1.0, 0], [0, 1, 0, 0], [1, 0, 0, 600]]), SIZE),
-]
-SCREW = make_screw(ScrewDesign(segments=16, slot_lengths_mm=(30.0, 20.0), tower_length_mm=45.0))
 NO_ROLLS = np.zeros(0, dtype=np.int64)
-
-
-def pose_at(turn: list[float], shift: list[float]) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = rigid.exp_rotation(np.array(turn))
-    pose[:3, 3] = shift
-    return pose
-
-
-POSE = pose_at([0.25, 0.3, 0.15], [-5.0, -45.0, -10.0])
-BESIDE = pose_at([0.2, 0.4, 0.1], [3.0, -40.0, 5.0])  # overlaps the other in both views
 
 
 def revolved() -> Implant:
@@ -58,26 +38,6 @@ def revolved() -> Implant:
     return replace(
         SCREW, mesh=Mesh(vertices, np.concatenate(faces)), tip_mm=np.zeros(3), center_mm=np.array([0.0, 20.0, 0.0])
     )
-
-
-def drawn(implant: Implant, poses: list[np.ndarray], noise: float, seed: int) -> list[GradientTarget]:
-    """Sharp views by the simulator's path lengths, which are other code than the solver's."""
-    rng = np.random.default_rng(seed)
-    made = []
-    for camera in CAMERAS:
-        lengths = sum(
-            path_length_mm(camera, rigid.transform(pose, implant.mesh.vertices_mm)[implant.mesh.faces], SIZE)
-            for pose in poses
-        )
-        image = 0.8 * -np.expm1(-0.22 * np.asarray(lengths)) + rng.normal(0, noise, SIZE)
-        made.append(make_gradient_target(image.astype(np.float32), np.ones(SIZE, bool), camera, 1, 0.7, 5, True))
-    return made
-
-
-def body(implant: Implant, pose: np.ndarray) -> Body:
-    ends = [camera.project(rigid.transform(pose, np.stack([implant.tip_mm, implant.center_mm]))) for camera in CAMERAS]
-    marks = MarkedScrew(CAMERAS, np.stack([one[0] for one in ends]), np.stack([one[1] for one in ends]))
-    return Body(implant, implant.mesh, marks)
 
 
 def test_a_linear_problem_has_the_covariance_of_its_estimates(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,6 +90,23 @@ def test_wrong_cameras_are_refused_when_held_and_refined_when_free(
     assert read_result(write_result(tmp_path / "result.json", answer)) == answer
 
 
+def test_views_that_do_not_agree_are_said_and_nothing_is_ok(simulated: tuple[Case, TruthFile]) -> None:
+    """A matrix off by less than the marks show: the poses are a compromise, and a sigma would be far too small."""
+    case, truth = simulated
+    agreeing = solve(case, OPTIONS).answer
+    assert not any("do not agree" in warning for warning in agreeing.warnings)
+    assert all(screw.sigma is not None for screw in agreeing.screws)
+    answer = solve(wrong(case, truth, 0.15), OPTIONS).answer
+    assert pairing_is_right(answer, truth)
+    said = [warning for warning in answer.warnings if "do not agree on where it lies" in warning]
+    assert said
+    assert all("--cameras auto" in one for one in said)
+    assert answer.status == "ambiguous"
+    doubtful = [screw for screw in answer.screws if screw.status != "ok"]
+    assert len(doubtful) >= len(said)
+    assert all(screw.sigma is None for screw in doubtful)
+
+
 def test_auto_leaves_exact_cameras_alone(simulated: tuple[Case, TruthFile]) -> None:
     case, truth = simulated
     answer = solve(case, replace(OPTIONS, cameras="auto")).answer

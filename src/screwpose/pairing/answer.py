@@ -214,8 +214,10 @@ def _screws(
             words, has_failed = _doubts_by_silhouette(post[index])
         else:
             words, has_failed = _doubts_by_energy(trial.quality.energies[index])
+            if trial.quality.beside_px and trial.quality.beside_px[index]:
+                words.append(_doubt_by_views(trial.quality.beside_px[index]))
             rivals = [rival for rival in trial.quality.rivals if rival.index == index]
-            if trial.quality.errors and not words:  # a model that explains little says little of its errors
+            if trial.quality.errors and not words:  # what fits so badly says little of its errors
                 error = trial.quality.errors[index]
                 sigma = _sigma(error, rivals)
                 unseen += [f"screw {hypothesis.name}: {_UNSEEN_ROLL}"] if error.roll_deg is None else []
@@ -283,6 +285,15 @@ def _doubts_by_energy(energies: Mapping[str, float]) -> tuple[list[str], bool]:
         if energy < _CHECK_ENERGY
     ]
     return words, min(energies.values()) < _FAILED_ENERGY
+
+
+def _doubt_by_views(beside_px: Mapping[str, float]) -> str:
+    """What a reader must know where the views do not agree on where a screw lies."""
+    ways = " and ".join(f"{view} alone would have it {beside:.1f} px elsewhere" for view, beside in beside_px.items())
+    return (
+        f"the views do not agree on where it lies: {ways}; if the projection matrices may be off, let them be refined "
+        "with the poses (--cameras auto), and if the images are distorted, correct that first"
+    )
 
 
 def _doubt_by_rival(rival: Rival) -> str:

@@ -24,6 +24,8 @@ from screwpose.similarity.thickness import GradientTarget
 _STEP_DEG = 15.0
 _FULL_TURN_DEG = (345.0, 360.0, 375.0)  # a slip by a whole thread
 _NEARBY_DEG = (-8.0, -4.0, 4.0, 8.0)
+# On sharp images: a head three degrees off still sees its edges, and the thread holds it there.
+_CLOSE_DEG = (-21.0, -15.0, -9.0, -3.0, 0.0, 3.0, 9.0, 15.0, 21.0)
 _TRIED = 3
 # The right way, not fitted yet, explains nearly as much as a wrong one that is (development cases: 0.003 less).
 _PROMISING = 0.05
@@ -165,6 +167,28 @@ def _apart(implant: Implant, world_from_cad: FloatArray, other: FloatArray) -> t
     return float(np.degrees(turn)), float(shift @ axis)
 
 
+def close_ways(
+    views: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray], leads_mm: Sequence[float]
+) -> list[Rival]:
+    """Poses a little further along each screw's thread that may explain sharp images better; not compared yet.
+
+    The way along a thread is flat as long as the head's edges lie beside their images, and the fit may stop on it.
+
+    Parameters
+    ----------
+    views : sharp; `poses` (4, 4) each were fitted to them.
+    leads_mm : of each body's thread; one that has none is passed over.
+    """
+    found = []
+    for index, lead_mm in enumerate(leads_mm):
+        if not lead_mm:
+            continue
+        fixed = standing(views, bodies, poses, index)
+        turns_deg = _peaks_deg(views, bodies, poses, index, lead_mm, _CLOSE_DEG, fixed)
+        found += [Rival(index, turn_deg, lead_mm * turn_deg / 360.0, 0.0) for turn_deg in turns_deg]
+    return found
+
+
 def compared_again(
     views: Sequence[GradientTarget],
     bodies: Sequence[Body],
@@ -236,13 +260,35 @@ def other_ways(
     angles_deg = np.arange(-195.0, 196.0, _STEP_DEG)  # half a turn may end a little beyond it
     if lead_mm:
         angles_deg = np.concatenate([np.negative(_FULL_TURN_DEG[::-1]), angles_deg, _FULL_TURN_DEG])
-    trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in angles_deg]
+    peaks_deg = _peaks_deg(views, bodies, poses, index, lead_mm, angles_deg, fixed)
+    return [screwed(bodies[index].implant, poses[index], float(np.radians(angle)), lead_mm) for angle in peaks_deg]
+
+
+def _peaks_deg(
+    views: Sequence[GradientTarget],
+    bodies: Sequence[Body],
+    poses: Sequence[FloatArray],
+    index: int,
+    lead_mm: float,
+    angles_deg: Sequence[float] | FloatArray,
+    fixed: Fixed | None,
+) -> list[float]:
+    """Those of some turns along a thread, but 0, that explain more than their neighbours and nearly as much as 0 does.
+
+    The best come first, and not more than are worth a fit.
+
+    Parameters
+    ----------
+    angles_deg : in order, 0 in the middle.
+    """
+    turns_deg = np.asarray(angles_deg)
+    trials = [screwed(bodies[index].implant, poses[index], float(np.radians(a)), lead_mm) for a in turns_deg]
     energies = np.array(energies_of_candidates(views, bodies, poses, index, trials, True, fixed))
     padded = np.concatenate([[-np.inf], energies, [-np.inf]])
-    is_peak = (energies >= padded[:-2]) & (energies >= padded[2:]) & (angles_deg != 0.0)
+    is_peak = (energies >= padded[:-2]) & (energies >= padded[2:]) & (turns_deg != 0.0)
     now = energies[len(energies) // 2]
     if np.ptp(energies) < 1e-6:  # a body of revolution
         return []
     peaks = np.flatnonzero(is_peak & (energies > now - _PROMISING))
     peaks = peaks[np.argsort(-energies[peaks], kind="stable")][:_TRIED]
-    return [trials[peak] for peak in peaks]
+    return [float(turns_deg[peak]) for peak in peaks]
