@@ -411,7 +411,8 @@ def make_case(rng: np.random.Generator, index: int, data: Path, scan: Any, given
             middle = np.mean([[-1.0, 2.0] @ landmarks(screw) for screw in screws], axis=0)  # of the heads
             views = ct_views(rng, middle + rng.normal(0.0, 8.0, 3))
             uv = [projected(view, np.vstack([landmarks(screw) for screw in screws]))[:, :2] for view in views]
-            if all((p > 10).all() and (p < np.array(view.size) - 11).all() for p, view in zip(uv, views, strict=True)):
+            is_in = [(p > 10).all() and (p < np.array(view.size) - 11).all() for p, view in zip(uv, views, strict=True)]
+            if all(is_in) and len(screws) > 1:
                 break
         look |= {"scatter": rng.uniform(0.1, 0.8), "photons": 10 ** rng.uniform(2.5, 3.7)}
         look |= {"bits": int(rng.choice([8, 16])), "curve": str(rng.choice(["log", "power"]))}
