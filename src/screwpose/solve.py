@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Container
 from dataclasses import dataclass, field, replace
-from threading import Lock
 from time import perf_counter
 from typing import Literal
 
 import numpy as np
 
+from screwpose._progress import Progress, SideBySide, of_several, part_of, tell_nobody
 from screwpose._threads import in_threads
 from screwpose._types import FloatArray
-from screwpose.errors import CancelledError, MeshError
+from screwpose.errors import MeshError
 from screwpose.files.case import Case
 from screwpose.files.findings import errors_in, warnings_in
 from screwpose.files.result import Result
@@ -27,7 +27,7 @@ from screwpose.pairing.plausibility import check_plausibility
 from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
-from screwpose.registration import Progress, SearchOptions
+from screwpose.registration import SearchOptions
 
 Method = Literal["default", "paper", "epipolar"]
 """How the pairing is decided: `default` by the landmarks' chi-square with the CAD's length, `paper` by the Dice score
@@ -47,6 +47,8 @@ _FEW_SCREWS = 3
 _HOPELESS = 1e-9
 # Combinations of many screws that are more probable than this are registered too.
 _OPEN = 0.005
+# So many are settled at most, each of which made another more probable.
+_MOST_SETTLED = 4
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     arXiv 2511.05702, for the steps; the choice of `default` and the confidence of both methods are ours.
     """
     options = options or SolveOptions()
-    tell = progress or _tell_nobody
+    tell = progress or tell_nobody
     clock = _Clock()
 
     tell(0.0, "checking the landmarks")
@@ -123,7 +125,7 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
         return refused(case, reasons, clock.read("pairing"))
 
     evidence = _gathered(case, options)
-    placed = _placed(evidence, ranked, _within(tell, 0.02, 0.15))
+    placed = _placed(evidence, ranked, part_of(tell, 0.02, 0.15))
     if options.held is not None:
         placed = [
             begun_poses(combination, poses, options.held) for combination, poses in zip(ranked, placed, strict=True)
@@ -139,7 +141,7 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     clock.lap("pairing")
 
     if options.search.generations > 0:
-        trials, ranking, excuses = _registered(case, evidence, trials, ranking, options, _within(tell, 0.2, 0.97))
+        trials, ranking, excuses = _registered(case, evidence, trials, ranking, options, part_of(tell, 0.2, 0.97))
         warnings += excuses
     else:
         trials = sorted(trials, key=_ORDERS[options.method])
@@ -212,7 +214,7 @@ def _registered_by_evolution(
     promising = _promising(trials, options)
     done = []
     for index, trial in enumerate(promising):
-        within = _of_several(tell, index, len(promising))
+        within = of_several(tell, index, len(promising))
         found = refine(evidence, trial.combination, trial.placed, options.search, within)
         post = score(evidence, trial.combination, found.world_from_cad)
         done.append(replace(trial, found=found, post=post))
@@ -227,32 +229,34 @@ def _registered_by_thickness(
     promising = _promising(trials, options)
     centers = [hypothesis.fit.center_mm for trial in promising for hypothesis in trial.combination.hypotheses]
     thickness = prepare_thickness(case, np.mean(centers, axis=0))
-    together = _SideBySide(_within(tell, 0.0, 0.7), len(promising))
+    together = SideBySide(part_of(tell, 0.0, 0.7), len(promising))
     known: dict[Hypothesis, FloatArray] = {}
 
-    def registered(index: int) -> Trial:
-        trial = promising[index]
+    def registered(trial: Trial, progress: Progress) -> Trial:
         found, quality = refine_by_thickness(
-            case, thickness, trial.combination, trial.placed, options.noise, together.progress_of(index), known,
+            case, thickness, trial.combination, trial.placed, options.noise, progress, known,
             trial.probability < _HOPELESS,
         )  # fmt: skip
         seen = evidence if quality.cameras is None else replace(evidence, cameras=quality.cameras.cameras)
         post = score(seen, trial.combination, found.world_from_cad)
         return replace(trial, found=found, post=post, quality=quality)
 
+    def one_of_several(index: int) -> Trial:
+        return registered(promising[index], together.progress_of(index))
+
     done = []
     if any(len(trial.combination.hypotheses) > _FEW_SCREWS for trial in promising):
         # Combinations of many screws share most of their pairs: these are registered once.
-        done = [registered(0)]
+        done = [one_of_several(0)]
         first = done[0]
         assert first.found is not None
         assert first.quality is not None
         # They begin in the cameras as reported.
         held = first.found.world_from_cad if first.quality.cameras is None else first.quality.cameras.held
         known.update(zip(first.combination.hypotheses, held, strict=True))
-    done += in_threads(registered, range(len(done), len(promising)), together.give_up)
+    done += in_threads(one_of_several, range(len(done), len(promising)), together.give_up)
     ranking = _judged_by_marks([*done, *(trial for trial in trials if trial not in promising)], ranking)
-    within = _within(tell, 0.7, 1.0)
+    within = part_of(tell, 0.7, 1.0)
 
     def settled(trial: Trial) -> Trial:
         assert trial.found is not None
@@ -269,16 +273,29 @@ def _registered_by_thickness(
     at_rest: dict[Combination, Trial] = {}
     while chosen.combination not in at_rest:
         at_rest[chosen.combination] = settled(chosen)
-        within = _tell_nobody  # that it goes on is told once; a second one is seldom
+        within = part_of(tell, 1.0, 1.0)  # a second one is seldom
         done = [at_rest.get(trial.combination, trial) for trial in done]
         weighed = _weighed_by_images(done, ranking, at_rest)
         chosen = max(done, key=lambda trial: weighed.probability_of(trial.combination))
+        late = _not_registered(weighed, done)
+        if late is not None and options.held is None and len(at_rest) < _MOST_SETTLED:
+            placed = tuple(place(evidence, hypothesis) for hypothesis in late.hypotheses)
+            trial = Trial(late, weighed.probability_of(late), placed, score(evidence, late, placed))
+            chosen = registered(trial, part_of(tell, 1.0, 1.0, "registering what has become more probable: "))
+            done.append(chosen)
     others = [trial for trial in trials if trial not in promising] + [trial for trial in done if trial is not chosen]
     others = [replace(trial, probability=weighed.probability_of(trial.combination)) for trial in others]
     chosen = replace(chosen, probability=weighed.probability_of(chosen.combination))
     if options.held is None:  # a person's pairs are the answer, however open they are
         chosen = _without_open_pairs(evidence, chosen, weighed)
     return [chosen, *sorted(others, key=_ORDERS[options.method])], weighed
+
+
+def _not_registered(ranking: Ranking, done: list[Trial]) -> Combination | None:
+    """The most probable combination, where it is neither one of the registered ones nor a part of one: it may have a
+    pair more than the best had by its landmarks, which all that were registered have as many as."""
+    best = ranking.most_probable
+    return None if any(set(best.hypotheses) <= set(trial.combination.hypotheses) for trial in done) else best
 
 
 def _judged_by_marks(trials: list[Trial], ranking: Ranking) -> Ranking:
@@ -302,7 +319,7 @@ def _weighed_by_images(trials: list[Trial], ranking: Ranking, at_rest: Container
 
 def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> Trial:
     """A registered combination without those of its pairs that are more probably none."""
-    best = ranking.combinations[int(np.argmax(ranking.probabilities))]
+    best = ranking.most_probable
     places = {hypothesis: index for index, hypothesis in enumerate(trial.combination.hypotheses)}
     is_part = 0 < len(best.hypotheses) < len(places) and all(one in places for one in best.hypotheses)
     assert trial.found is not None
@@ -313,34 +330,6 @@ def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> T
     placed, found = tuple(trial.placed[index] for index in kept), trial.found.of(kept)
     pre, post = score(evidence, best, placed), score(evidence, best, found.world_from_cad)
     return Trial(best, ranking.probability_of(best), placed, pre, found, post, trial.quality.of(kept))
-
-
-def _of_several(tell: Progress, index: int, count: int) -> Progress:
-    return _within(tell, index / count, (index + 1) / count, f"registering combination {index + 1} of {count}: ")
-
-
-class _SideBySide:
-    """The progress of combinations that are registered at once: how far all of them are together."""
-
-    def __init__(self, tell: Progress, count: int) -> None:
-        self._tell = tell
-        self._shares = [0.0] * count
-        self._turn = Lock()
-        self._is_given_up = False
-
-    def give_up(self) -> None:
-        """Stop them all when they next tell how far they are."""
-        self._is_given_up = True
-
-    def progress_of(self, index: int) -> Progress:
-        def tell(fraction: float, what: str) -> None:
-            with self._turn:
-                if self._is_given_up:
-                    raise CancelledError("stopped with the other combinations")
-                self._shares[index] = fraction
-                self._tell(sum(self._shares) / len(self._shares), f"registering side by side: {what}")
-
-        return tell
 
 
 def _by_chi_square(trial: Trial) -> tuple[bool, float]:
@@ -385,12 +374,3 @@ class _Clock:
     def read(self, last_step: str) -> dict[str, float]:
         self.lap(last_step)
         return {**self._laps, "total": self._last - self._start}
-
-
-def _within(tell: Progress, first: float, last: float, prefix: str = "") -> Progress:
-    """A progress that fills a part of another."""
-    return lambda fraction, what: tell(first + (last - first) * fraction, prefix + what)
-
-
-def _tell_nobody(_fraction: float, _what: str) -> None:
-    pass

@@ -361,7 +361,9 @@ def test_what_cannot_be_known_is_not_confident(spoilt: CaseFolder, said: str | N
 def test_marks_that_are_no_screw_stay_alone(case: CaseFolder, tmp_path: Path) -> None:
     bad.strange_screws(case)
     case.save()
-    answer = answer_of(case, "annotations: AP n, LAT n: no two of these marks are one screw", tmp_path / "out")
+    answer = answer_of(
+        case, "annotations: AP n, LAT n: no two of these marks fit each other as one screw", tmp_path / "out"
+    )
     assert answer["status"] == "ambiguous"
     assert answer["pairing"]["pairs"] == [{"AP": "1", "LAT": "b"}, {"AP": "2", "LAT": "a"}]
     assert answer["pairing"]["unpaired"] == {"AP": ["n"], "LAT": ["n"]}

@@ -194,4 +194,4 @@ def test_screws_that_each_hide_in_the_other_view_are_a_warning() -> None:
     case = case_of(ends, VIEWS, 1.0, np.random.default_rng(5), {"AP": [0, 1], "LAT": [0, 2]})
     (finding,) = check_plausibility(case)
     assert finding.level == "warning"
-    assert "AP AP1, LAT LAT2: no two of these marks are one screw" in str(finding)
+    assert "AP AP1, LAT LAT2: no two of these marks fit each other as one screw" in str(finding)

@@ -12,6 +12,7 @@ SOURCE = ROOT / "src" / "screwpose"
 FLOORS = {
     "errors": -1,  # below all, also below what is on floor 0 with it
     "_compiling": 0,
+    "_progress": 0,
     "_threads": 0,
     "_types": 0,
     "geometry": 1,

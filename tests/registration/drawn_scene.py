@@ -1,6 +1,7 @@
 """Two screws that overlap in two small views, drawn by the simulator's path lengths: other code than the solver's."""
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from screwpose.geometry import Camera, rigid
 from screwpose.implants import Implant, ScrewDesign, make_screw
@@ -30,9 +31,9 @@ BESIDE = pose_at([0.2, 0.4, 0.1], [3.0, -40.0, 5.0])  # overlaps the other in bo
 
 
 def drawn(
-    implant: Implant, poses: list[np.ndarray], noise: float, seed: int, is_sharp: bool = True
+    implant: Implant, poses: list[np.ndarray], noise: float, seed: int, is_sharp: bool = True, blur_px: float = 0.0
 ) -> list[GradientTarget]:
-    """Views of all of them."""
+    """Views of all of them, by a detector that blurs by so much."""
     rng = np.random.default_rng(seed)
     made = []
     filters = (0.7, 5, True) if is_sharp else (1.3, 0, False)
@@ -41,7 +42,8 @@ def drawn(
             path_length_mm(camera, rigid.transform(pose, implant.mesh.vertices_mm)[implant.mesh.faces], SIZE)
             for pose in poses
         )
-        image = 0.8 * -np.expm1(-0.22 * np.asarray(lengths)) + rng.normal(0, noise, SIZE)
+        image = 0.8 * -np.expm1(-0.22 * np.asarray(lengths))
+        image = gaussian_filter(image, blur_px) + rng.normal(0, noise, SIZE)
         made.append(make_gradient_target(image.astype(np.float32), np.ones(SIZE, bool), camera, 1, *filters))
     return made
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from screwpose.errors import CancelledError
 from screwpose.files import read_result, write_result
 from screwpose.files.case import Case, read_case
 from screwpose.files.findings import Finding
-from screwpose.files.schema import TruthFile
+from screwpose.files.schema import PairingFile, ResultFile, TruthFile
 from screwpose.files.truth import read_truth
 from screwpose.implants import Mesh
 from screwpose.implants.symmetry import CONTINUOUS
 from screwpose.pairing import LandmarkNoise
-from screwpose.pairing.hypotheses import Hypothesis
+from screwpose.pairing.hypotheses import Combination, Hypothesis
+from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.registration import SearchOptions
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
@@ -137,6 +139,37 @@ def test_a_pair_that_is_more_probably_none_is_not_answered(
     assert [screw.labels for screw in answer.screws] == [kept]
     assert answer.combinations[0].pairs == (kept,)
     assert answer.combinations[0].post is not None
+
+
+def test_what_becomes_most_probable_is_registered_though_it_was_not_among_the_first(
+    simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a pairing with one pair more than the best had by its landmarks: its probability alone brings it in."""
+    case, truth = simulated
+
+    class WithoutTheFirst(Ranking):
+        def shown(self, count: int) -> list[Combination]:
+            return super().shown(count)[1:]
+
+    def ranked(*given: Any) -> Ranking:
+        one = ranked_pairings(*given)
+        return WithoutTheFirst(one.combinations, one.probabilities, one.scale, one.log_evidence)
+
+    monkeypatch.setattr("screwpose.solve.ranked_pairings", ranked)
+    told: list[tuple[float, str]] = []
+    answer = solve(case, QUICK, lambda fraction, what: told.append((fraction, what))).answer
+    assert pairing_is_right(answer, truth)
+    assert answer.combinations[0].post is not None
+    assert not pairing_is_right(answer.model_copy(update={"pairing": _pairing_of(answer, 1)}), truth)
+    for _, error in screw_errors(answer, truth, case.implants):
+        assert error is not None
+        assert error.tip_mm < 0.2
+    assert any("has become more probable" in what for _, what in told)
+    assert [fraction for fraction, _ in told] == sorted(fraction for fraction, _ in told)
+
+
+def _pairing_of(answer: ResultFile, index: int) -> PairingFile:
+    return answer.pairing.model_copy(update={"pairs": answer.combinations[index].pairs})
 
 
 def test_a_roll_that_cannot_be_seen_is_absent_and_said(

@@ -87,7 +87,7 @@ def _lonely_marks(case: Case, lonely: Sequence[tuple[str, str]]) -> Finding:
     """A warning where some screws pair well, and others that could have a partner fit none."""
     return Finding(
         "warning",
-        f"{', '.join(f'{view} {label}' for view, label in lonely)}: no two of these marks are one screw",
+        f"{', '.join(f'{view} {label}' for view, label in lonely)}: no two of these marks fit each other as one screw",
         case.path,
         "annotations",
         "marks of one screw in two views, unless each of them is hidden in the other view",

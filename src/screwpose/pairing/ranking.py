@@ -57,6 +57,11 @@ class Ranking:
     scale: float
     log_evidence: float = -np.inf
 
+    @property
+    def most_probable(self) -> Combination:
+        """The one with the largest probability: not the first, once more is known than was when they were ranked."""
+        return self.combinations[int(np.argmax(self.probabilities))]
+
     def shown(self, count: int) -> list[Combination]:
         """At most so many of those that pair as many screws as the best one does, which is the first."""
         most = len(self.combinations[0].hypotheses) if self.combinations else 0

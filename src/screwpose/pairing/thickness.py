@@ -33,6 +33,7 @@ from screwpose.registration.agreement import shifts_by_view
 from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, close_ways, compared_again, thread_lead_mm
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, once_more, scaled_stages, settled
+from screwpose.registration.sharpness import as_imaged
 from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_each, fit_at_scale
 from screwpose.registration.uncertainty import ExpectedError, expected_errors
 from screwpose.similarity.thickness import GradientTarget, make_gradient_target
@@ -212,15 +213,12 @@ def settle_by_thickness(
         progress(0.7, "fitting the sharpest images")
     scale, stage = stages[-1]
     poses = tuple(once_more(bodies, at_rest.world_from_cad, thickness.targets, stages))
-    for views, iterations, enough_mm in (
-        (thickness.targets[scale], _BETWEEN_ITERATIONS, stage.enough_mm),
-        (thickness.sharp, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM),
-    ):
-        poses = fit_at_scale(views, bodies, poses, stage.mark_sigma_px, iterations, enough_mm).world_from_cad
-    others = [*at_rest.rivals, *close_ways(thickness.sharp, bodies, poses, leads_mm)]
-    final, rivals = compared_again(
-        thickness.sharp, bodies, poses, others, stage.mark_sigma_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM
-    )
+    finest, held_by_px = thickness.targets[scale], stage.mark_sigma_px
+    poses = fit_at_scale(finest, bodies, poses, held_by_px, _BETWEEN_ITERATIONS, stage.enough_mm).world_from_cad
+    sharp = as_imaged(thickness.sharp, bodies, poses)
+    poses = fit_at_scale(sharp, bodies, poses, held_by_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM).world_from_cad
+    others = [*at_rest.rivals, *close_ways(sharp, bodies, poses, leads_mm)]
+    final, rivals = compared_again(sharp, bodies, poses, others, held_by_px, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM)
     ended = replace(at_rest, world_from_cad=tuple(final), rivals=tuple(rivals))
     if progress is not None:
         progress(0.9, "judging cameras and errors")
@@ -231,8 +229,8 @@ def settle_by_thickness(
         return found, quality
     return found, replace(
         quality,
-        errors=_expected_errors(thickness, bodies, final, leads_mm, stage.mark_sigma_px),
-        beside_px=_beside_px(list(case.views), thickness.targets[scale], bodies, final),
+        errors=_expected_errors(sharp, bodies, final, leads_mm, held_by_px),
+        beside_px=_beside_px(list(case.views), finest, bodies, final),
     )
 
 
@@ -252,13 +250,13 @@ def _beside_px(
 
 
 def _expected_errors(
-    thickness: Thickness,
+    sharp: Sequence[GradientTarget],
     bodies: Sequence[Body],
     poses: Sequence[FloatArray],
     leads_mm: Sequence[float],
     mark_sigma_px: float,
 ) -> tuple[ExpectedError, ...]:
-    errors = expected_errors(thickness.sharp, bodies, poses, mark_sigma_px)
+    errors = expected_errors(sharp, bodies, poses, mark_sigma_px)
     return tuple(  # a model of revolution has facets, which show some roll that is none; what has a thread is none
         error.without_roll() if not lead_mm and _order(body.implant) == CONTINUOUS else error
         for body, lead_mm, error in zip(bodies, leads_mm, errors, strict=True)

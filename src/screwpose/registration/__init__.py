@@ -1,10 +1,10 @@
 """Which pose explains the images best? (floor 4)"""
 
+from screwpose._progress import Progress
 from screwpose.registration.basin import FarFit, FarXrays, Xray, prepare_far, register_from
 from screwpose.registration.drawing import drawn_losses, search_window, search_windows
 from screwpose.registration.initial import AxialSearch, align, axial_search, turned
 from screwpose.registration.search import (
-    Progress,
     Registered,
     SceneLosses,
     SearchOptions,

@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from screwpose._progress import Progress
 from screwpose._types import BoolArray, FloatArray, ImageArray
 from screwpose.geometry import Camera, rigid
 from screwpose.implants.model import Mesh
 from screwpose.registration.alternatives import Rival, thread_lead_mm
 from screwpose.registration.recipe import STAGES, RecipeFit, Stage, Targets, fit_by_thickness, scaled_stages, settled
-from screwpose.registration.search import Progress, SearchOptions, register
+from screwpose.registration.search import SearchOptions, register
 from screwpose.registration.thickness_fit import Body, energies_of_each, energies_of_views, fit_at_scale
 from screwpose.similarity.engine import SceneEngine
 from screwpose.similarity.target import Target

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from screwpose._progress import Progress
 from screwpose._types import FloatArray
 from screwpose.geometry.correction import CameraCorrection, CameraSigma
 from screwpose.registration.camera_fit import (
@@ -16,7 +17,6 @@ from screwpose.registration.camera_fit import (
     fit_cameras_at_scale,
 )
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, settled
-from screwpose.registration.search import Progress
 from screwpose.registration.thickness_fit import Body, ScaleFit
 from screwpose.similarity.blurred import Blur
 from screwpose.similarity.thickness import GradientTarget

@@ -7,12 +7,12 @@ from itertools import product
 
 import numpy as np
 
+from screwpose._progress import Progress
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.registration.alternatives import Rival, better_ways, is_at_rest, thread_lead_mm
 from screwpose.registration.checks import preference
 from screwpose.registration.initial import turned
-from screwpose.registration.search import Progress
 from screwpose.registration.thickness_fit import Body, ScaleFit, energies_of_candidates, energies_of_each, fit_at_scale
 from screwpose.similarity.thickness import GradientTarget
 

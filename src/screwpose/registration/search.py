@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from screwpose._progress import Progress
 from screwpose._types import FloatArray
 from screwpose.geometry import rigid
 from screwpose.implants.model import Implant
 
-Progress = Callable[[float, str], None]
-"""``progress(fraction, what)``: told how far the work is; may raise CancelledError to stop it."""
 SceneLosses = Callable[[FloatArray], FloatArray]
 """``losses(world_from_cad)``: of K scenes of B bodies, (K, B, 4, 4), the mean loss over the views, (K,)."""
 

@@ -9,7 +9,7 @@ display are, and fitted to each view by itself.
 `explain` and what follows it are the reference, in NumPy and OpenCV; `assessment` does the same in compiled loops.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class GradientTarget:
     along_u, along_v : (rows, columns), derivatives of the smoothed log image, per px.
     counts : (rows, columns), the pixels whose derivatives see nothing beyond the region.
     scale : how many px of the X-ray make one.
-    blur_px : of the smoothing, at this scale.
+    blur_px : of the smoothing, at this scale; of the models', where that is more: see `blurring`.
     mean_px : see `taps`.
     is_local : gain and noise are those of each place, see `localised`.
     """
@@ -70,8 +70,12 @@ class GradientTarget:
         """(rows, columns)."""
         return self.counts.shape[0], self.counts.shape[1]
 
+    def blurring(self, more_px: float) -> "GradientTarget":
+        """The same image, which is compared with models that are blurred by so much more, as the detector blurs."""
+        return replace(self, blur_px=float(np.hypot(self.blur_px, more_px)))
+
     def differentiated(self, image: ImageArray) -> tuple[GradientArray, GradientArray]:
-        """The same derivatives of another image, or of a part of one."""
+        """The same derivatives of a model's image, or of a part of one."""
         return _differentiated(image, self.blur_px, self.mean_px)
 
 
