@@ -33,7 +33,11 @@ def as_imaged(
 
     def of_view(view: GradientTarget) -> GradientTarget:
         together = packed(bodies, view.scale)
-        energies = [assess(view.blurring(float(np.sqrt(more))), together, poses).energy for more in _TRIED_PX2]
+        energies: list[float] = []
+        for more_px2 in _TRIED_PX2:
+            energies.append(assess(view.blurring(float(np.sqrt(more_px2))), together, poses).energy)
+            if len(energies) > 1 and energies[-1] < energies[-2]:  # they have one peak
+                break
         return view.blurring(float(np.sqrt(max(0.0, _best_px2(np.array(energies)) - _LEFT_PX2))))
 
     return in_threads(of_view, views)
