@@ -263,7 +263,7 @@ class ReviewPanel:
 
     async def _moved(self, asked: dict[str, Any]) -> None:
         session, page = self._page.session, self._page
-        self._start = self._start or self._now()
+        self._start = self._start or session.poses_now
         moved = await session.ask("nudge", poses=self._start, index=page.screw, view=asked["view"], move=asked["move"])
         if asked["done"]:
             self._start = None
@@ -275,16 +275,6 @@ class ReviewPanel:
         else:
             self._live.set_text(self._live_words())
             self._overlay()
-
-    def _now(self) -> list[Any]:
-        session = self._page.session
-        assert session.reviewed is not None
-        if session.live is not None:
-            return list(session.live["poses"])
-        held = {tuple(sorted(one.labels.items())): one.world_from_cad for one in session.store.side.by_hand}
-        return [
-            held.get(tuple(sorted(one["labels"].items())), one["world_from_cad"]) for one in session.reviewed["screws"]
-        ]
 
     def _refine(self) -> None:
         self._page.session.refine_from_here()
