@@ -162,6 +162,11 @@ class CasePage:
             self.session.tell()
 
     # ---- actions of all stages
+    def choose_screw(self, index: int) -> None:
+        """Choose a screw of the result, or leave it if it was."""
+        self.screw = None if self.screw == index else index
+        self.refresh()
+
     def undo(self) -> None:
         """Take back the last action."""
         if self.may_edit:

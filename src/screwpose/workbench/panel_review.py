@@ -8,6 +8,7 @@ from nicegui import events, ui
 from screwpose.workbench.panel_combinations import CombinationTable
 from screwpose.workbench.panel_job import JobCard
 from screwpose.workbench.panel_mark import window_controls
+from screwpose.workbench.screw_buttons import screw_buttons
 
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
@@ -133,24 +134,16 @@ class ReviewPanel:
         with self._screws:
             if data["screws"]:
                 ui.label("Screws").classes("group")
-            for index, screw in enumerate(data["screws"]):
-                on = index == self._page.screw
-                with (
-                    ui.element("button")
-                    .classes(f"screw {'on' if on else ''}")
-                    .props(f'type="button" aria-pressed={"true" if on else "false"}')
-                    .on("click", partial(self._choose_screw, index))
-                ):
-                    with ui.row().classes("card-head"):
-                        ui.element("span").classes("swatch").style(f"background:{screw['color']}")
-                        ui.label(screw["name"]).classes("strong grow")
-                        ui.icon(_STATUS_ICONS[screw["status"]]).classes(screw["status"])
-                        ui.label(screw["words"]).classes("small")
-                    ui.label(
-                        f"Expected error: {screw['sigma']}" if screw["sigma"] else "Expected error: not estimated"
-                    ).classes("muted small")
-                    for doubt in screw["doubts"]:
-                        ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
+            screw_buttons(self._page, data["screws"], self._screw_status, self._screw_error)
+
+    def _screw_status(self, screw: dict[str, Any]) -> None:
+        ui.icon(_STATUS_ICONS[screw["status"]]).classes(screw["status"])
+        ui.label(screw["words"]).classes("small")
+
+    def _screw_error(self, screw: dict[str, Any]) -> None:
+        ui.label(f"Expected error: {screw['sigma'] or 'not estimated'}").classes("muted small")
+        for doubt in screw["doubts"]:
+            ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
 
     def _build_hand(self) -> None:
         """What can be done by hand with the chosen screw."""
@@ -177,10 +170,6 @@ class ReviewPanel:
 
     def _show(self, number: int) -> None:
         self._shown = number
-        self.refresh()
-
-    def _choose_screw(self, index: int) -> None:
-        self._page.screw = None if self._page.screw == index else index
         self.refresh()
 
     def _picked(self, event: events.GenericEventArguments) -> None:
