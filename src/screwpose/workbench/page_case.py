@@ -137,7 +137,7 @@ class CasePage:
             if facts is not None:
                 viewer.show(facts)
                 viewer.set(outside=facts["outside"])
-            viewer.set(editable=self.may_edit, light=self.theme.is_light)
+            viewer.set(editable=self.may_edit)
         self._panels[self.stage].refresh()
 
     # ---- whose the case is

@@ -9,6 +9,7 @@ from screwpose.workbench.panel_combinations import CombinationTable
 from screwpose.workbench.panel_job import JobCard
 from screwpose.workbench.panel_mark import window_controls
 from screwpose.workbench.screw_buttons import screw_buttons
+from screwpose.workbench.slider import Slider
 
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
@@ -74,7 +75,7 @@ class ReviewPanel:
                 ui.checkbox("Before registration", value=self._before, on_change=self._stage).props("dense")
             with ui.row().classes("tools nowrap"):
                 ui.label("Opacity").classes("small")
-                ui.slider(
+                Slider(
                     min=0, max=1, step=0.05, value=self._layers["opacity"], on_change=partial(self._layer, "opacity")
                 ).props('aria-label="Opacity of the overlay"')
             window_controls(self._page)

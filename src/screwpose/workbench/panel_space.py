@@ -82,7 +82,8 @@ class SpacePanel:
             scene.line(source, corner).material(_LINE, opacity=0.35)
             scene.line(corner, corners[(index + 1) % 4]).material(_LINE)
         scene.sphere(4.0).move(*source).material(_LINE)
-        scene.text(view["name"], "color: #8fd3ff; font-weight: 600").move(*corners[0])
+        color = "#0b6e80" if self._page.theme.is_light else "#8fd3ff"
+        scene.text(view["name"], f"color: {color}; font-weight: 600; font-size: 1rem").move(*corners[0])
         if facts is not None:
             scene.texture(f"/preview/{facts['key']}", plane).material("#ffffff", opacity=1.0, side="both").with_name(
                 f"view:{view['name']}"
