@@ -113,6 +113,31 @@ def test_all_words_of_all_pages_can_be_read(workspace, serve, open_tab, theme):
     assert unread(tab, 40) == []
 
 
+# The words of fields that stick out of their field.
+OUTSIDE = """() => [...document.querySelectorAll(".q-field__native span, .q-field input, .q-field__label")].filter((one) => {
+  const words = one.getBoundingClientRect(), field = one.closest(".q-field__control").getBoundingClientRect();
+  return words.height && (words.top < field.top - 2 || words.bottom > field.bottom + 2);
+}).map((one) => one.innerText || one.value)"""
+
+
+@pytest.mark.parametrize(("size", "smallest_px"), [((1280, 720), 10.5), ((3840, 2160), 19.0)])
+def test_words_grow_with_the_screen_and_stay_in_their_fields(workspace, serve, open_tab, size, smallest_px):
+    tab = open_tab(serve(workspace / "demo").address)
+    tab.page.set_viewport_size({"width": size[0], "height": size[1]})
+    tab.page.wait_for_function("document.querySelectorAll('.preview').length === 2")
+    for stage in ("Images", "Mark"):
+        tab.go(stage)
+        tab.page.wait_for_timeout(500)
+        found = tab.page.evaluate(MEASURED)
+        assert len(found) > 20
+        # Labels of fields are shown at three quarters, which a transformation does.
+        assert min(one["size"] for one in found) >= smallest_px
+        assert tab.page.evaluate("document.querySelectorAll('.q-field').length") > 3
+        assert tab.page.evaluate(OUTSIDE) == []
+        over = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
+        assert not tab.page.evaluate(over)
+
+
 def focused(tab, least: int) -> list[str]:
     """What the Tab key reaches that shows no outline."""
     count, bare = 0, []
