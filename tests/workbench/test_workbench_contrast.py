@@ -114,10 +114,12 @@ def test_all_words_of_all_pages_can_be_read(workspace, serve, open_tab, theme):
 
 
 # The words of fields that stick out of their field.
-OUTSIDE = """() => [...document.querySelectorAll(".q-field__native span, .q-field input, .q-field__label")].filter((one) => {
+OUTSIDE = """() => {
+const words = ".q-field__native span, .q-field input, .q-field__label";
+return [...document.querySelectorAll(words)].filter((one) => {
   const words = one.getBoundingClientRect(), field = one.closest(".q-field__control").getBoundingClientRect();
   return words.height && (words.top < field.top - 2 || words.bottom > field.bottom + 2);
-}).map((one) => one.innerText || one.value)"""
+}).map((one) => one.innerText || one.value); }"""
 
 
 @pytest.mark.parametrize(("size", "smallest_px"), [((1280, 720), 10.5), ((3840, 2160), 19.0)])

@@ -87,7 +87,8 @@ def test_a_case_that_another_program_changed_is_not_overwritten(workspace, serve
 
 def test_a_cancelled_solve_leaves_the_case_and_can_be_asked_for_again(workspace, serve, open_tab, slow):
     folder = workspace / "demo"
-    tab = open_tab(serve(folder, **slow).address)
+    server = serve(folder, **slow)
+    tab = open_tab(server.address)
     tab.go("Solve & review")
     tab.button("Solve").click()
     tab.button("Cancel").click()
@@ -95,4 +96,9 @@ def test_a_cancelled_solve_leaves_the_case_and_can_be_asked_for_again(workspace,
     assert not (folder / "result").exists()
     assert side_of(folder).get("job") is None
     tab.button("Solve").click()
-    tab.solved()
+    tab.button("Cancel").wait_for()
+    tab.button("Cancel").click()
+    server.stop()
+    again = open_tab(serve(folder).address)
+    again.button("Solve").click()
+    again.solved()
