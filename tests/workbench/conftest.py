@@ -31,8 +31,8 @@ def serve():
     """Start servers that end with the test; what went wrong in them fails it."""
     servers = []
 
-    def start(path: Path, *options: str) -> Server:
-        servers.append(Server(path, *options))
+    def start(path: Path, *options: str, **variables: str) -> Server:
+        servers.append(Server(path, *options, **variables))
         return servers[-1]
 
     yield start
@@ -40,6 +40,12 @@ def serve():
         server.stop()
     said = "".join(line for server in servers for line in server.said)
     assert "Traceback" not in said, said
+
+
+@pytest.fixture
+def slow(tmp_path) -> dict[str, str]:
+    """Variables under which a solve compiles first, and so is still running for whoever acts at once."""
+    return {"NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
 
 
 @pytest.fixture(scope="session")

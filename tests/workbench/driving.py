@@ -24,9 +24,9 @@ _EXPECTED = ("GL Driver Message", "WebSocket", "ERR_CONNECTION", "Failed to load
 class Server:
     """`screwpose open` as a user starts it."""
 
-    def __init__(self, path: Path, *options: str) -> None:
+    def __init__(self, path: Path, *options: str, **variables: str) -> None:
         command = [sys.executable, "-m", "screwpose", "open", str(path), "--no-browser", *options]
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment = {**os.environ, "PYTHONUNBUFFERED": "1", **variables}
         environment.pop("PYTEST_CURRENT_TEST", None)  # by which NiceGUI believes itself in its own tests
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment

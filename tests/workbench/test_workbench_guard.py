@@ -234,6 +234,7 @@ def test_a_broken_or_hostile_file_of_each_kind_is_refused_in_words(simulated, wo
         "lat.png",
         "models",
         "workbench.json",
+        ".workbench-owner",
     }
     assert tab.page.locator(".finding img").count() == 0
     # The server goes on.

@@ -24,9 +24,9 @@ def test_a_reload_in_the_middle_of_a_screw_loses_nothing(workspace, serve, open_
     assert len(case_in(folder)["annotations"]["AP"]) == 1
 
 
-def test_a_killed_server_loses_only_the_solve_that_ran_and_offers_it_again(workspace, serve, open_tab):
+def test_a_killed_server_loses_only_the_solve_that_ran_and_offers_it_again(workspace, serve, open_tab, slow):
     folder = workspace / "demo"
-    server = serve(folder)
+    server = serve(folder, **slow)
     tab = open_tab(server.address)
     tab.go("Mark")
     tab.see_xrays()
@@ -85,9 +85,10 @@ def test_a_case_that_another_program_changed_is_not_overwritten(workspace, serve
     assert case_in(folder) == theirs
 
 
-def test_a_cancelled_solve_leaves_the_case_and_can_be_asked_for_again(workspace, serve, open_tab):
+def test_a_cancelled_solve_leaves_the_case_and_can_be_asked_for_again(workspace, serve, open_tab, slow):
     folder = workspace / "demo"
-    tab = open_tab(serve(folder).address)
+    server = serve(folder, **slow)
+    tab = open_tab(server.address)
     tab.go("Solve & review")
     tab.button("Solve").click()
     tab.button("Cancel").click()
@@ -95,4 +96,9 @@ def test_a_cancelled_solve_leaves_the_case_and_can_be_asked_for_again(workspace,
     assert not (folder / "result").exists()
     assert side_of(folder).get("job") is None
     tab.button("Solve").click()
-    tab.solved()
+    tab.button("Cancel").wait_for()
+    tab.button("Cancel").click()
+    server.stop()
+    again = open_tab(serve(folder).address)
+    again.button("Solve").click()
+    again.solved()

@@ -11,6 +11,7 @@ from screwpose.workbench import draft as drafts
 from screwpose.workbench.side_file import Begun, BegunMark, Choice
 from screwpose.workbench.store import CaseStore, safe_file_name
 from screwpose.workbench.workspace import workspace_of
+from tests.workbench.driving import side_of
 
 
 def test_a_case_made_step_by_step_is_what_solving_reads(simulated, tmp_path):
@@ -80,6 +81,80 @@ def test_undo_and_redo_write_what_they_show(workspace):
     assert json.loads(store.file.read_text()) == second
     store.change(drafts.without_mark(second, "LAT", "a"))
     assert not store.can_redo
+
+
+def reopened(store):
+    """The case as the next run of the workbench opens it."""
+    store.claim.release()
+    return CaseStore(store.folder)
+
+
+def test_undo_and_redo_outlast_the_workbench(workspace):
+    store = CaseStore(workspace / "demo")
+    first = store.draft
+    second = drafts.without_mark(first, "AP", "1")
+    third = drafts.without_mark(second, "AP", "2")
+    store.change(second)
+    store.change(third)
+    store.undo()
+    again = reopened(store)
+    assert again.redo()
+    assert json.loads(again.file.read_text()) == third
+    assert not again.can_redo
+    again = reopened(again)
+    assert again.undo()
+    assert again.undo()
+    assert json.loads(again.file.read_text()) == first
+    assert not again.can_undo
+
+
+@pytest.mark.parametrize("is_written", [False, True])
+def test_an_end_between_the_two_files_leaves_a_history_that_fits(workspace, monkeypatch, is_written):
+    store = CaseStore(workspace / "demo")
+    first, second = store.draft, drafts.without_mark(store.draft, "AP", "1")
+    store.change(second)
+
+    def cut(file, text):
+        if is_written:
+            file.write_text(text)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("screwpose.workbench.store.write_text", cut)
+    with pytest.raises(KeyboardInterrupt):
+        store.undo()
+    again = CaseStore(workspace / "demo")
+    assert (again.can_undo, again.can_redo) == (not is_written, is_written)
+    assert again.draft == (first if is_written else second)
+
+
+def test_a_history_has_an_end_and_is_not_of_another_programs_case(workspace):
+    store = CaseStore(workspace / "demo")
+    for number in range(80):
+        store.change(drafts.with_landmark(store.draft, "AP", "1", "tip", (number, 1.0)))
+    assert len(side_of(store.folder)["history"]) == 60
+    again = reopened(store)
+    assert sum(again.undo() for _ in range(80)) == 59
+    assert again.draft["annotations"]["AP"][0]["tip"] == [20.0, 1.0]
+    store.file.write_text(json.dumps({**again.draft, "id": "other"}))
+    assert not CaseStore(workspace / "demo").can_undo
+    assert not CaseStore(workspace / "demo").can_redo
+
+
+def test_a_failed_write_changes_nothing(workspace, monkeypatch):
+    store = CaseStore(workspace / "demo")
+    first = store.draft
+
+    def full(_file, _text):
+        raise OutputError("no space")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("screwpose.workbench.store.write_text", full)
+        with pytest.raises(OutputError, match="no space"):
+            store.change(drafts.without_mark(first, "AP", "1"))
+    assert (store.draft, store.can_undo) == (first, False)
+    store.change(drafts.without_mark(first, "AP", "2"))
+    assert store.undo()
+    assert CaseStore(workspace / "demo").draft == first
 
 
 def test_what_another_program_wrote_is_left_alone(workspace):

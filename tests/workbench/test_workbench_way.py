@@ -105,8 +105,9 @@ def test_a_person_overrides_the_pairing_and_it_is_kept_as_theirs(workspace, serv
     assert tab.page.locator(".answer b").count() == 0
 
 
-def test_a_screw_is_moved_by_hand_scored_at_once_and_refined_from_there(workspace, serve, open_tab):
-    tab = open_tab(serve(workspace / "demo").address)
+def test_a_screw_is_moved_by_hand_scored_at_once_kept_and_refined_from_there(workspace, serve, open_tab):
+    server = serve(workspace / "demo")
+    tab = open_tab(server.address)
     tab.go("Solve & review")
     tab.button("Solve").click()
     tab.solved()
@@ -122,6 +123,18 @@ def test_a_screw_is_moved_by_hand_scored_at_once_and_refined_from_there(workspac
     held = np.array(side_of(workspace / "demo")["by_hand"][0]["world_from_cad"])
     assert 0.05 < np.linalg.norm(held[:3, 3] - solved[:3, 3]) < 5.0
     np.testing.assert_allclose(held[:3, :3], solved[:3, :3], atol=1e-9)
+    drawn = "JSON.stringify(window.screwposeViewers?.AP?.state.outlines.map((one) => one.paths) ?? [])"
+    by_hand = tab.page.evaluate(drawn)
+    said = tab.page.locator(".live").inner_text()
+    tab.page.reload()
+    tab.page.wait_for_function(f"(want) => {drawn} === want", arg=by_hand)
+    server.kill()
+    tab.page.close()
+    tab = open_tab(serve(workspace / "demo").address)
+    tab.page.wait_for_function(f"(want) => {drawn} === want", arg=by_hand)
+    tab.page.locator(".screw").first.click()
+    tab.text("By hand: Dice").wait_for()
+    assert tab.page.locator(".live").inner_text() == said
     tab.button("Refine from here").click()
     tab.button("Cancel").wait_for()
     tab.button("Cancel").wait_for(state="hidden")
@@ -187,7 +200,8 @@ def test_by_keys_alone(workspace, serve, open_tab):
     press("Escape")
     tab_to(".combinations .q-btn")
     press("Enter")
-    tab.page.get_by_label("Reason").wait_for()
+    # The dialog takes the focus once it has opened: what is typed before goes nowhere.
+    tab.page.wait_for_function("document.activeElement.getAttribute('aria-label') === 'Reason'")
     tab.page.keyboard.type("seen on the needle")
     press("Enter")
     tab.text("The pairing is yours").wait_for()

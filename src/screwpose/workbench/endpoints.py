@@ -3,6 +3,7 @@
 import re
 import shutil
 import tempfile
+import zipfile
 from pathlib import Path
 
 from fastapi import FastAPI, HTTPException
@@ -11,6 +12,7 @@ from fastapi.staticfiles import StaticFiles
 from starlette.background import BackgroundTask
 
 from screwpose.errors import CaseError
+from screwpose.workbench.claim import OWNER_NAME
 from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.store import REPORT_FOLDER, RESULT_FOLDER
 
@@ -79,7 +81,11 @@ def _folder(sessions: Sessions, case: str) -> Path:
 def _zipped(folder: Path) -> FileResponse:
     """The whole case folder, to be opened on another computer."""
     place = Path(tempfile.mkdtemp(prefix="screwpose-zip-"))
-    archive = shutil.make_archive(str(place / folder.name), "zip", folder.parent, folder.name)
+    archive = place / f"{folder.name}.zip"
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and path.name != OWNER_NAME:  # whose it is here is nothing to another computer
+                packed.write(path, path.relative_to(folder.parent))
     return FileResponse(
         archive, media_type="application/zip", filename=f"{folder.name}.zip",
         background=BackgroundTask(shutil.rmtree, place, ignore_errors=True),

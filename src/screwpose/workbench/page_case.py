@@ -62,8 +62,8 @@ class CasePage:
 
     @property
     def may_edit(self) -> bool:
-        """Whether this tab holds the case."""
-        return self.session.owner == self.client.id
+        """Whether this tab holds the case, and this server."""
+        return self.session.owner == self.client.id and self.session.may_write
 
     # ---- the page
     def build(self) -> None:
@@ -85,7 +85,7 @@ class CasePage:
             icon_button("help_outline", "Keys (?)", self._keys.open)
             self.theme.button()
         with ui.row().classes("banner").props('role="alert"') as self._banner:
-            self._banner_words = ui.label("This case is open in another tab. Here it can only be looked at.")
+            self._banner_words = ui.label()
             ui.button("Take over", on_click=self.take_over).props("no-caps dense").mark("take-over")
         self._problem = ui.label().classes("problem wide").props('role="alert"')
         self._main = ui.element("main").classes("work")
@@ -126,6 +126,7 @@ class CasePage:
             button.classes(add="on" if is_on else "", remove="" if is_on else "on")
             button.props(f"aria-current={'page' if is_on else 'false'}")
         self._banner.set_visibility(session.owner is not None and not self.may_edit)
+        self._banner_words.set_text(self._who_has_it())
         self._problem.set_text(session.problem)
         self._problem.set_visibility(bool(session.problem))
         self._saved.set_text("" if session.problem else "Saved" if self.may_edit else "View only")
@@ -136,14 +137,22 @@ class CasePage:
             if facts is not None:
                 viewer.show(facts)
                 viewer.set(outside=facts["outside"])
-            viewer.set(editable=self.may_edit, light=self.theme.is_light)
+            viewer.set(editable=self.may_edit)
         self._panels[self.stage].refresh()
 
     # ---- whose the case is
     def take_over(self) -> None:
-        """This tab changes the case from now on; the other one only looks."""
+        """This tab changes the case from now on; the other one, here or of another server, only looks."""
         self.session.owner = self.client.id
+        self.session.keep(takes=True)
         self.session.tell()
+
+    def _who_has_it(self) -> str:
+        other = self.session.store.claim.other
+        if other is None:
+            return "This case is open in another tab. Here it can only be looked at."
+        where = f"process {other.pid} on {other.host}"
+        return f"This case is open in another workbench ({where}). Here it can only be looked at."
 
     def left(self) -> None:
         """The tab is gone: the next one that looks may go on."""
@@ -153,6 +162,11 @@ class CasePage:
             self.session.tell()
 
     # ---- actions of all stages
+    def choose_screw(self, index: int) -> None:
+        """Choose a screw of the result, or leave it if it was."""
+        self.screw = None if self.screw == index else index
+        self.refresh()
+
     def undo(self) -> None:
         """Take back the last action."""
         if self.may_edit:
@@ -195,6 +209,7 @@ async def case_page(sessions: Sessions, key: str) -> None:
     await client.connected(timeout=60.0)
     _hold(session, client.id)
     session.listeners[client.id] = page.refresh
+    session.watch()
     if session.known:
         session.tell()
     else:

@@ -48,7 +48,8 @@ class JobCard:
         session, may_edit = self._page.session, self._page.may_edit
         job = session.job
         is_open = job is not None and job.is_open
-        is_interrupted = session.store.side.job is not None and not is_open
+        is_there = session.store.side.job is not None and not session.may_write
+        is_interrupted = session.store.side.job is not None and not is_open and not is_there
         self._running.set_visibility(is_open)
         self._cancel.set_enabled(may_edit)
         self._failed.set_visibility(job is not None and job.state == "failed")
@@ -56,9 +57,15 @@ class JobCard:
         self._interrupted.set_visibility(is_interrupted)
         self._again.set_enabled(may_edit)
         self._leave.set_enabled(may_edit)
-        asks = not is_open and not is_interrupted and (not session.is_solved or session.is_stale)
-        self._state.set_visibility(asks)
-        self._state.set_text("The case was changed since it was solved." if session.is_solved else "Not solved yet.")
+        asks = not is_open and not is_interrupted and not is_there and (not session.is_solved or session.is_stale)
+        self._state.set_visibility(asks or is_there)
+        self._state.set_text(
+            "The other workbench is solving it."
+            if is_there
+            else "The case was changed since it was solved."
+            if session.is_solved
+            else "Not solved yet."
+        )
         self._solve.set_visibility(asks)
         self._solve.set_enabled(bool(session.known.get("is_ready")) and may_edit)
         if job is not None:

@@ -8,6 +8,7 @@ from nicegui import events, ui
 from screwpose.report.palette import Ink, ink_of
 from screwpose.workbench import draft as drafts
 from screwpose.workbench.side_file import Begun, BegunMark
+from screwpose.workbench.slider import Slider
 from screwpose.workbench.theme import icon_button, named, notes
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class MarkPanel:
         with ui.row().classes("tools"):
             self._paint = ui.switch("Paint what does not count", on_change=self._mode).props("dense")
             self._erase = ui.switch("Counts again", on_change=self._mode).props("dense")
-        self._brush = ui.slider(min=4, max=120, value=24, on_change=self._mode).props('label aria-label="Brush, px"')
+        self._brush = Slider(min=4, max=120, value=24, on_change=self._mode).props('label aria-label="Brush, px"')
         self._list = ui.element("div").classes("lists")
         with ui.element("div").classes("next"):
             self._solve_button = ui.button("Solve", on_click=self._solve).props("no-caps").classes("wide")

@@ -8,6 +8,8 @@ from nicegui import events, ui
 from screwpose.workbench.panel_combinations import CombinationTable
 from screwpose.workbench.panel_job import JobCard
 from screwpose.workbench.panel_mark import window_controls
+from screwpose.workbench.screw_buttons import screw_buttons
+from screwpose.workbench.slider import Slider
 
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
@@ -73,7 +75,7 @@ class ReviewPanel:
                 ui.checkbox("Before registration", value=self._before, on_change=self._stage).props("dense")
             with ui.row().classes("tools nowrap"):
                 ui.label("Opacity").classes("small")
-                ui.slider(
+                Slider(
                     min=0, max=1, step=0.05, value=self._layers["opacity"], on_change=partial(self._layer, "opacity")
                 ).props('aria-label="Opacity of the overlay"')
             window_controls(self._page)
@@ -133,24 +135,16 @@ class ReviewPanel:
         with self._screws:
             if data["screws"]:
                 ui.label("Screws").classes("group")
-            for index, screw in enumerate(data["screws"]):
-                on = index == self._page.screw
-                with (
-                    ui.element("button")
-                    .classes(f"screw {'on' if on else ''}")
-                    .props(f'type="button" aria-pressed={"true" if on else "false"}')
-                    .on("click", partial(self._choose_screw, index))
-                ):
-                    with ui.row().classes("card-head"):
-                        ui.element("span").classes("swatch").style(f"background:{screw['color']}")
-                        ui.label(screw["name"]).classes("strong grow")
-                        ui.icon(_STATUS_ICONS[screw["status"]]).classes(screw["status"])
-                        ui.label(screw["words"]).classes("small")
-                    ui.label(
-                        f"Expected error: {screw['sigma']}" if screw["sigma"] else "Expected error: not estimated"
-                    ).classes("muted small")
-                    for doubt in screw["doubts"]:
-                        ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
+            screw_buttons(self._page, data["screws"], self._screw_status, self._screw_error)
+
+    def _screw_status(self, screw: dict[str, Any]) -> None:
+        ui.icon(_STATUS_ICONS[screw["status"]]).classes(screw["status"])
+        ui.label(screw["words"]).classes("small")
+
+    def _screw_error(self, screw: dict[str, Any]) -> None:
+        ui.label(f"Expected error: {screw['sigma'] or 'not estimated'}").classes("muted small")
+        for doubt in screw["doubts"]:
+            ui.label(doubt.split(": ", 1)[-1].capitalize()).classes("warning small")
 
     def _build_hand(self) -> None:
         """What can be done by hand with the chosen screw."""
@@ -177,10 +171,6 @@ class ReviewPanel:
 
     def _show(self, number: int) -> None:
         self._shown = number
-        self.refresh()
-
-    def _choose_screw(self, index: int) -> None:
-        self._page.screw = None if self._page.screw == index else index
         self.refresh()
 
     def _picked(self, event: events.GenericEventArguments) -> None:
@@ -263,7 +253,7 @@ class ReviewPanel:
 
     async def _moved(self, asked: dict[str, Any]) -> None:
         session, page = self._page.session, self._page
-        self._start = self._start or self._now()
+        self._start = self._start or session.poses_now
         moved = await session.ask("nudge", poses=self._start, index=page.screw, view=asked["view"], move=asked["move"])
         if asked["done"]:
             self._start = None
@@ -275,16 +265,6 @@ class ReviewPanel:
         else:
             self._live.set_text(self._live_words())
             self._overlay()
-
-    def _now(self) -> list[Any]:
-        session = self._page.session
-        assert session.reviewed is not None
-        if session.live is not None:
-            return list(session.live["poses"])
-        held = {tuple(sorted(one.labels.items())): one.world_from_cad for one in session.store.side.by_hand}
-        return [
-            held.get(tuple(sorted(one["labels"].items())), one["world_from_cad"]) for one in session.reviewed["screws"]
-        ]
 
     def _refine(self) -> None:
         self._page.session.refine_from_here()

@@ -1,10 +1,11 @@
 """3D: the implants where they were found, and both C-arms with their X-rays."""
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import events, ui
+
+from screwpose.workbench.screw_buttons import screw_buttons
 
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
@@ -81,7 +82,8 @@ class SpacePanel:
             scene.line(source, corner).material(_LINE, opacity=0.35)
             scene.line(corner, corners[(index + 1) % 4]).material(_LINE)
         scene.sphere(4.0).move(*source).material(_LINE)
-        scene.text(view["name"], "color: #8fd3ff; font-weight: 600").move(*corners[0])
+        color = "#0b6e80" if self._page.theme.is_light else "#8fd3ff"
+        scene.text(view["name"], f"color: {color}; font-weight: 600; font-size: 1rem").move(*corners[0])
         if facts is not None:
             scene.texture(f"/preview/{facts['key']}", plane).material("#ffffff", opacity=1.0, side="both").with_name(
                 f"view:{view['name']}"
@@ -92,11 +94,7 @@ class SpacePanel:
         names = [one["name"] for one in data["screws"]]
         hit = next((one.object_name[6:] for one in event.hits if one.object_name.startswith("screw:")), None)
         if hit in names:
-            self._choose(names.index(hit))
-
-    def _choose(self, index: int) -> None:
-        self._page.screw = None if self._page.screw == index else index
-        self.refresh()
+            self._page.choose_screw(names.index(hit))
 
     def _list(self, data: dict[str, Any] | None) -> None:
         self._side.clear()
@@ -104,25 +102,22 @@ class SpacePanel:
             ui.label(
                 "Drag to turn, right button to move, wheel to zoom. Click a screw to choose it everywhere."
             ).classes("muted small")
-            for index, screw in enumerate(data["screws"] if data else ()):
-                on = index == self._page.screw
-                with (
-                    ui.element("button")
-                    .classes(f"screw {'on' if on else ''}")
-                    .props(f'type="button" aria-pressed={"true" if on else "false"}')
-                    .on("click", partial(self._choose, index))
-                ):
-                    with ui.row().classes("card-head"):
-                        ui.element("span").classes("swatch").style(f"background:{screw['color']}")
-                        ui.label(screw["name"]).classes("strong grow")
-                    ui.label(f"{screw['model']}, {screw['words']}").classes("small")
-                    ui.label("Tip " + ", ".join(f"{x:.1f}" for x in screw["tip"]) + " mm").classes("muted small")
+            screw_buttons(self._page, data["screws"] if data else [], _nothing_beside, _model_and_tip)
 
     def _light_up(self, data: dict[str, Any] | None) -> None:
         for index, screw in enumerate(data["screws"] if data else ()):
             for mesh in self._meshes.get(screw["name"], []):
                 faint = self._page.screw is not None and self._page.screw != index
                 mesh.material(screw["color"], opacity=0.35 if faint else 1.0)
+
+
+def _nothing_beside(_screw: dict[str, Any]) -> None:
+    """The name says it all."""
+
+
+def _model_and_tip(screw: dict[str, Any]) -> None:
+    ui.label(f"{screw['model']}, {screw['words']}").classes("small")
+    ui.label("Tip " + ", ".join(f"{x:.1f}" for x in screw["tip"]) + " mm").classes("muted small")
 
 
 def _whole_plane(view: dict[str, Any]) -> Any:

@@ -19,6 +19,7 @@ LOG = logging.getLogger(__name__)
 READER_BYTES = 6 * 2**30
 SOLVER_BYTES = 12 * 2**30
 _SETTLE_S = 0.35  # a hand that goes on makes looking at once worthless
+_WATCH_S = 1.0
 
 
 @dataclass
@@ -66,6 +67,8 @@ class Session:
     listeners: dict[str, Callable[[], None]] = field(default_factory=dict)
     reader: Child = field(default_factory=lambda: Child(READER_BYTES))
     _looking: asyncio.Task[None] | None = None
+    _watching: asyncio.Task[None] | None = None
+    _drawn_from: float | None = None
     _running: set[asyncio.Task[None]] = field(default_factory=set)
 
     def tell(self) -> None:
@@ -86,11 +89,11 @@ class Session:
         """Do again what was taken back."""
         self._saved(self.store.redo)
 
-    def change_side(self, **changes: Any) -> None:
-        """Save what the case's format has no place for."""
-        self._saved(lambda: self.store.change_side(**changes), looks=False)
+    def change_side(self, **changes: Any) -> bool:
+        """Save what the case's format has no place for; False where it could not be."""
+        return self._saved(lambda: self.store.change_side(**changes), looks=False)
 
-    def _saved(self, act: Callable[[], Any], looks: bool = True) -> None:
+    def _saved(self, act: Callable[[], Any], looks: bool = True) -> bool:
         try:
             act()
             self.problem = ""
@@ -99,6 +102,71 @@ class Session:
         if looks:
             self.look_soon()
         self.tell()
+        return not self.problem
+
+    # ---- whose the case is
+    @property
+    def may_write(self) -> bool:
+        """Whether no other server has the case, as far as is known."""
+        return self.store.claim.other is None
+
+    def watch(self) -> None:
+        """From now on, while a tab shows the case: keep it, or show what the server does that has it."""
+        self.keep()
+        if self._watching is None or self._watching.done():
+            self._watching = self._started(self._watch())
+
+    async def _watch(self) -> None:
+        while self.listeners or (self.job is not None and self.job.is_open):
+            await asyncio.sleep(_WATCH_S)
+            self.keep()
+        self.store.claim.release()
+
+    def keep(self, takes: bool = False) -> None:
+        """Say that the case is ours; where another server has it, show the case as that one saved it, and go on once it
+        is done with it. With `takes` that one is told that it is ours now."""
+        before = self.store.claim.other
+        try:
+            self.store.claim.renew(takes)
+            if takes or (before or self.store.claim.other) is not None:
+                self._follow()
+        except ScrewposeError as error:
+            self.problem = str(error)
+        if not self.may_write and self.job is not None and self.job.is_open:
+            self.job.state, self.job.what = "cancelled", "cancelled"  # it is the other server's to ask for again
+            if self.job.child is not None:
+                self.job.child.end()
+        if before != self.store.claim.other:
+            self.tell()
+
+    def _follow(self) -> None:
+        """Show what another server saved."""
+        if self.store.is_changed_elsewhere:
+            self.reread()
+        if self.is_solved and self.reviewed is not None and self._drawn_from != self._result_time:
+            self._started(self.load_review())
+
+    def reread(self) -> None:
+        """Go on with the case as it is on the disk.
+
+        Raises
+        ------
+        CaseError
+            It cannot be read any more.
+        """
+        self.store.reread()
+        self.problem = ""
+        self.look_soon()
+        if self.reviewed is not None:
+            self._started(self._show_held())
+        self.tell()
+
+    @property
+    def _result_time(self) -> float | None:
+        try:
+            return (self.store.folder / RESULT_FOLDER / "result.json").stat().st_mtime
+        except FileNotFoundError:
+            return None
 
     @property
     def is_solved(self) -> bool:
@@ -139,9 +207,26 @@ class Session:
     async def load_review(self) -> None:
         """Draw the result again."""
         if self.is_solved:
+            self._drawn_from = self._result_time
             self.reviewed = await self.ask("review", cache=str(self.cache))
-            self.live = None
-            self.tell()
+            await self._show_held()
+
+    async def _show_held(self) -> None:
+        """Draw and score the screws where a person put them, after a restart as before it."""
+        self.live = None
+        if self.reviewed is not None and self.reviewed["screws"] and self.store.side.by_hand:
+            view = next(iter(self.store.draft["views"]))
+            self.live = await self.ask("nudge", poses=self.poses_now, index=0, view=view, move={})
+        self.tell()
+
+    @property
+    def poses_now(self) -> list[Any]:
+        """world_from_cad of every screw of the result, where it was put by hand if it was."""
+        assert self.reviewed is not None
+        if self.live is not None:
+            return list(self.live["poses"])
+        held = {frozenset(one.labels.items()): one.world_from_cad for one in self.store.side.by_hand}
+        return [held.get(frozenset(one["labels"].items()), one["world_from_cad"]) for one in self.reviewed["screws"]]
 
     # ---- solving
     def solve(self, asked: Begun) -> None:
@@ -149,8 +234,11 @@ class Session:
         if self.job is not None and self.job.is_open:
             return
         self.job = job = Job(asked)
-        self.change_side(job=asked)
-        self._started(self._solve(job))
+        if self.change_side(job=asked):
+            self._started(self._solve(job))
+        else:
+            job.state, job.problem = "failed", self.problem
+            self.tell()
 
     def cancel(self) -> None:
         """Stop the solve that waits or runs; what was found before stays."""
@@ -223,7 +311,8 @@ class Session:
         self.change_side(by_hand=held)
 
     def close(self) -> None:
-        """End its processes."""
+        """End its processes, and leave the case to others."""
+        self.store.claim.release()
         self.reader.end()
         if self.job is not None and self.job.child is not None:
             self.job.child.end()

@@ -37,10 +37,10 @@ class Sessions:
         """
         folder = self.workspace.folder_of(key)
         session = self._open.pop(key, None)
-        if session is None or (session.store.is_changed_elsewhere and not session.listeners):
-            if session is not None:
-                session.close()
+        if session is None:
             session = Session(key, CaseStore(folder), self.cache, self.queue)
+        elif session.store.is_changed_elsewhere:
+            session.reread()
         self._open[key] = session  # the last one is the one that was used last
         self._rest()
         return session

@@ -1,6 +1,6 @@
 """workbench.json, beside case.json: what the case's format has no place for."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -54,6 +54,8 @@ class SideFile(FileModel):
     choice : the person's choice of the pairing that the result holds.
     job : a solve that is not done.
     by_hand : poses that a person moved after solving.
+    history : the case after each of the last actions, whole; what was undone can be done again from it.
+    now : which of them case.json is.
     """
 
     format: Literal["screwpose-workbench/1"] = "screwpose-workbench/1"
@@ -63,3 +65,5 @@ class SideFile(FileModel):
     choice: Choice | None = None
     job: Begun | None = None
     by_hand: tuple[HeldPose, ...] = ()
+    history: tuple[dict[str, Any], ...] = ()
+    now: int = Field(default=0, ge=0)

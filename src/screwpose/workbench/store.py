@@ -10,12 +10,13 @@ from screwpose.errors import CaseError, OutputError
 from screwpose.files.atomic import json_text, write_json, write_text
 from screwpose.files.strict_json import read_json
 from screwpose.files.wording import read_model
+from screwpose.workbench.claim import Claim
 from screwpose.workbench.draft import Draft, empty_draft
 from screwpose.workbench.side_file import SIDE_FORMAT, SIDE_NAME, SideFile
 
 RESULT_FOLDER = "result"  # what the solver found, and the person's choice of it
 REPORT_FOLDER = "report"  # the same as `screwpose solve` writes it
-_MOST_UNDONE = 300
+_MOST_UNDONE = 60  # each is a whole case, some kB, and all are written with every action
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 _LONGEST_NAME = 60
 # Names that Windows keeps for devices, whatever follows the point.
@@ -42,11 +43,16 @@ class CaseStore:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.file = folder / "case.json"
+        self.claim = Claim(folder)
+        self.reread()
+
+    def reread(self) -> None:
+        """Go on with what is on the disk now."""
         self.draft = _read_draft(self.file)
-        self.side = _read_side(folder / SIDE_NAME)
+        self.side = _read_side(self.folder / SIDE_NAME)
         self._on_disk = _digest_of_file(self.file)
-        self._undone: list[Draft] = []
-        self._done: list[Draft] = []
+        self._side_on_disk = _digest_of_file(self.folder / SIDE_NAME)
+        self.side = self.side.model_copy(update=_found_in(self.side, self.draft))
 
     @classmethod
     def created(cls, workspace: Path, name: str) -> "CaseStore":
@@ -79,65 +85,83 @@ class CaseStore:
 
     @property
     def is_changed_elsewhere(self) -> bool:
-        """Whether another program wrote the case since it was read."""
-        return _digest_of_file(self.file) != self._on_disk
+        """Whether another program wrote the case, or what belongs to it, since it was read."""
+        side = _digest_of_file(self.folder / SIDE_NAME)
+        return _digest_of_file(self.file) != self._on_disk or side != self._side_on_disk
 
     @property
     def can_undo(self) -> bool:
         """Whether there is an action to take back."""
-        return bool(self._done)
+        return self.side.now > 0
 
     @property
     def can_redo(self) -> bool:
         """Whether there is an action to do again."""
-        return bool(self._undone)
+        return self.side.now + 1 < len(self.side.history)
 
     def change(self, draft: Draft) -> None:
         """Save a changed case; the one before can be brought back."""
         if draft == self.draft:
             return
-        before = self.draft
-        self._save(draft)
-        self._done = [*self._done[-_MOST_UNDONE:], before]
-        self._undone = []
+        history = (*self.side.history[: self.side.now + 1], draft)[-_MOST_UNDONE:]
+        self._go_to(history, len(history) - 1)
 
     def undo(self) -> bool:
         """Bring back the case before the last action; False where there is none."""
-        if not self._done:
+        if not self.can_undo:
             return False
-        before, now = self._done[-1], self.draft
-        self._save(before)
-        self._done.pop()
-        self._undone.append(now)
+        self._go_to(self.side.history, self.side.now - 1)
         return True
 
     def redo(self) -> bool:
         """Do again what was undone last; False where nothing was."""
-        if not self._undone:
+        if not self.can_redo:
             return False
-        after, now = self._undone[-1], self.draft
-        self._save(after)
-        self._undone.pop()
-        self._done.append(now)
+        self._go_to(self.side.history, self.side.now + 1)
         return True
 
     def change_side(self, **changes: Any) -> None:
         """Save changed keys of the side file."""
+        with self.claim.held():
+            self._ensure_ours()
+            self._write_side(changes)
+
+    def _go_to(self, history: tuple[Draft, ...], now: int) -> None:
+        """Save a case of the history. The history is written before it, and holds the case that the disk still has as
+        well as the one to come: whichever is there after a power cut is found in it."""
+        with self.claim.held():
+            self._ensure_ours()
+            before, text = self.side, json_text(history[now]) + "\n"
+            self._write_side({"history": history, "now": now})
+            try:
+                write_text(self.file, text)
+            except OutputError:
+                self.side = before
+                raise
+            self._on_disk = hashlib.sha256(text.encode()).hexdigest()
+            self.draft = history[now]
+
+    def _write_side(self, changes: dict[str, Any]) -> None:
         side = self.side.model_copy(update=changes)
         write_json(self.folder / SIDE_NAME, side)
-        self.side = side
+        self.side, self._side_on_disk = side, _digest_of_file(self.folder / SIDE_NAME)
 
-    def _save(self, draft: Draft) -> None:
-        """Write case.json, unless another program changed it since it was read."""
+    def _ensure_ours(self) -> None:
+        """What another program wrote since it was read is not written over."""
         if self.is_changed_elsewhere:
             raise OutputError(
-                f"{self.file}: another program changed the case since it was opened here. Nothing was overwritten: "
+                f"{self.folder}: another program changed the case since it was opened here. Nothing was overwritten: "
                 "reload the page to go on with the case as it is now."
             )
-        text = json_text(draft) + "\n"
-        write_text(self.file, text)
-        self._on_disk = hashlib.sha256(text.encode()).hexdigest()
-        self.draft = draft
+
+
+def _found_in(side: SideFile, draft: Draft) -> dict[str, Any]:
+    """The history with the place that the case on the disk has in it, the nearest to the last one known; where it is
+    another program's case, one that begins with it."""
+    places = [place for place, one in enumerate(side.history) if one == draft]
+    if not places:
+        return {"history": (draft,), "now": 0}
+    return {"now": min(places, key=lambda place: abs(place - side.now))}
 
 
 def _read_draft(file: Path) -> Draft:

@@ -8,12 +8,13 @@ void main() { gl_Position = vec4(corners[gl_VertexID], 0, 1); }`;
 // Each screen pixel: where in the image it is (integer pixels are centres), four texels, a straight line between them.
 const FRAGMENT = `#version 300 es
 precision highp float; precision highp usampler2D;
-uniform usampler2D image; uniform vec2 size; uniform vec2 origin; uniform float step_px; uniform float height;
+uniform usampler2D image; uniform vec2 size; uniform vec2 origin; uniform float step_px; uniform float height; uniform vec2 corner;
 uniform vec2 bounds; uniform bool inverted; uniform vec3 outside;
 out vec4 color;
 float at(ivec2 p) { return float(texelFetch(image, clamp(p, ivec2(0), ivec2(size) - 1), 0).r); }
 void main() {
-  vec2 p = origin + vec2(gl_FragCoord.x - 0.5, height - gl_FragCoord.y - 0.5) * step_px;
+  vec2 here = gl_FragCoord.xy - corner;  // the loupe is a part of the canvas, and gl_FragCoord counts from the canvas's
+  vec2 p = origin + vec2(here.x - 0.5, height - here.y - 0.5) * step_px;
   if (any(lessThan(p, vec2(-0.5))) || any(greaterThan(p, size - 0.5))) { color = vec4(outside, 1); return; }
   vec2 f = floor(p); ivec2 i = ivec2(f); vec2 t = p - f;
   float v = mix(mix(at(i), at(i + ivec2(1, 0)), t.x), mix(at(i + ivec2(0, 1)), at(i + ivec2(1, 1)), t.x), t.y);
@@ -56,7 +57,7 @@ export default {
 
   mounted() {
     this.state = { marks: [], begun: null, pairs: [], outlines: [], metal: [], outside: [], ellipses: [], epipolar: {},
-      layers: {}, mode: "mark", selected: null, heard: 0, editable: true, brush: 20, counts: false, light: false };
+      layers: {}, mode: "mark", selected: null, heard: 0, editable: true, brush: 20, counts: false };
     this.levels = [];
     this.place = { u: 0, v: 0, zoom: 1 }; // the image position in the middle, and screen pixels an image pixel
     this.bounds = [0, 65535]; this.inverted = false; this.loupe = true;
@@ -131,7 +132,7 @@ export default {
       gl.attachShader(this.program, compiled(gl, gl.FRAGMENT_SHADER, FRAGMENT));
       gl.linkProgram(this.program);
       gl.useProgram(this.program);
-      this.at = Object.fromEntries(["image", "size", "origin", "step_px", "height", "bounds", "inverted", "outside"].map(
+      this.at = Object.fromEntries(["image", "size", "origin", "step_px", "height", "corner", "bounds", "inverted", "outside"].map(
         (name) => [name, gl.getUniformLocation(this.program, name)]));
       this.$refs.image.addEventListener("webglcontextlost", (event) => event.preventDefault());
       this.$refs.image.addEventListener("webglcontextrestored", () => { this.start(); if (this.levels.length) this.upload(); });
@@ -164,10 +165,10 @@ export default {
       gl.uniform2f(this.at.origin, coarse(u - (width / 2 - 0.5) / zoom), coarse(v - (height / 2 - 0.5) / zoom));
       gl.uniform1f(this.at.step_px, 1 / zoom / scale);
       gl.uniform1f(this.at.height, height);
+      gl.uniform2f(this.at.corner, x, y);
       gl.uniform2f(this.at.bounds, ...this.bounds);
       gl.uniform1i(this.at.inverted, this.inverted);
-      const shade = this.state.light ? 0.78 : 0.03;
-      gl.uniform3f(this.at.outside, shade, shade, shade);
+      gl.uniform3f(this.at.outside, 0.03, 0.03, 0.03); // dark in the light theme too: an X-ray is read in the dark
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
     },
     resized() {
@@ -177,6 +178,8 @@ export default {
         canvas.height = Math.max(1, Math.round(box.height * ratio));
       }
       this.ratio = ratio;
+      // Marks and words grow with the page's own, which grow with the screen.
+      this.unit = ratio * Math.max(1, parseFloat(getComputedStyle(document.documentElement).fontSize) / 16);
       this.untouched !== false ? this.fit() : this.ask();
     },
     fit() {
@@ -213,7 +216,7 @@ export default {
       if (note !== this.note) this.note = note;
     },
     magnify(draw) {
-      const size = Math.round(LOUPE_PX * this.ratio), over = this.$refs.over, [x, y] = this.toScreen(this.cursor);
+      const size = Math.round(LOUPE_PX * this.unit), over = this.$refs.over, [x, y] = this.toScreen(this.cursor);
       const margin = Math.round(10 * this.ratio), zoom = LOUPE_ZOOM * Math.max(this.place.zoom, 0.5 * this.ratio);
       // In the corner that the hand is not in.
       const left = x > over.width / 2 ? margin : over.width - size - margin;
@@ -239,7 +242,7 @@ export default {
 
     // ---- what lies over the X-ray
     overlays(draw, to, zoom, inLoupe = false) {
-      const s = this.state, layers = s.layers, unit = this.ratio || 1;
+      const s = this.state, layers = s.layers, unit = this.unit || 1;
       const path = (flat, close = true) => {
         for (let k = 0; k < flat.length; k += 2) { const [x, y] = to([flat[k], flat[k + 1]]); k ? draw.lineTo(x, y) : draw.moveTo(x, y); }
         if (close) draw.closePath();
@@ -315,8 +318,8 @@ export default {
       if (Math.abs(b) > Math.abs(a)) for (const u of [-0.5, width - 0.5]) ends.push([u, -(a * u + c) / b]);
       else for (const v of [-0.5, height - 0.5]) ends.push([-(b * v + c) / a, v]);
       draw.beginPath(); draw.moveTo(...to(ends[0])); draw.lineTo(...to(ends[1]));
-      draw.strokeStyle = "rgba(0,0,0,0.6)"; draw.lineWidth = 3.5 * this.ratio; draw.stroke();
-      draw.strokeStyle = "#8fd3ff"; draw.lineWidth = 1.3 * this.ratio; draw.setLineDash([8 * this.ratio, 5 * this.ratio]);
+      draw.strokeStyle = "rgba(0,0,0,0.6)"; draw.lineWidth = 3.5 * this.unit; draw.stroke();
+      draw.strokeStyle = "#8fd3ff"; draw.lineWidth = 1.3 * this.unit; draw.setLineDash([8 * this.unit, 5 * this.unit]);
       draw.stroke(); draw.setLineDash([]);
     },
     marks(draw, to, unit, inLoupe) {
@@ -358,8 +361,8 @@ export default {
       }
     },
     text(draw, [x, y], words, color, size) {
-      draw.font = `600 ${size * this.ratio}px system-ui, sans-serif`;
-      draw.lineWidth = 3.5 * this.ratio; draw.strokeStyle = "rgba(0,0,0,0.8)";
+      draw.font = `600 ${size * this.unit}px system-ui, sans-serif`;
+      draw.lineWidth = 3.5 * this.unit; draw.strokeStyle = "rgba(0,0,0,0.8)";
       draw.strokeText(words, x, y); draw.fillStyle = color; draw.fillText(words, x, y);
     },
 
@@ -373,7 +376,7 @@ export default {
       return [u + ((event.clientX - box.left) * this.ratio - width / 2) / zoom, v + ((event.clientY - box.top) * this.ratio - height / 2) / zoom];
     },
     nearest([u, v]) {
-      let best = null, least = (NEAR_PX * this.ratio) / this.place.zoom;
+      let best = null, least = (NEAR_PX * this.unit) / this.place.zoom;
       for (const one of this.state.marks) for (const which of ["tip", "center"]) {
         const far = Math.hypot(one[which][0] - u, one[which][1] - v);
         if (far < least) { least = far; best = { label: one.label, which }; }
@@ -424,7 +427,7 @@ export default {
       if (this.touches.has(event.pointerId)) this.touches.set(event.pointerId, event);
       if (drag?.pinch) {
         const now = this.spread();
-        this.zoomAt(now.middle, now.far / drag.pinch.far);
+        this.zoomAt(drag.pinch.middle, now.far / drag.pinch.far); // where the fingers were: what lay there goes with them
         this.pan(now.middle[0] - drag.pinch.middle[0], now.middle[1] - drag.pinch.middle[1]);
         drag.pinch = now;
       } else if (drag) {
