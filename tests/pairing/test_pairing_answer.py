@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from screwpose.files.schema import SigmaFile
-from screwpose.pairing.answer import _sigma
+from screwpose.pairing.answer import _alike, _doubt_by_views, _sigma
 from screwpose.registration.alternatives import Rival
 from screwpose.registration.uncertainty import ExpectedError
 
@@ -42,3 +42,10 @@ def test_a_roll_that_is_not_seen_is_not_given() -> None:
     sigma = _sigma(ERROR.without_roll(), [])
     assert (sigma.roll_deg, sigma.pose_covariance) == (None, None)
     assert sigma.tip_mm == pytest.approx(0.04)
+
+
+def test_what_a_reader_is_told_of_symmetry_and_of_views_that_disagree() -> None:
+    assert "looks the same after half a turn" in _alike(179)
+    assert "looks the same after 120 degrees" in _alike(120)
+    told = _doubt_by_views({"AP": 1.26, "LAT": 0.5})
+    assert "AP alone would have it 1.3 px elsewhere and LAT alone would have it 0.5 px elsewhere" in told

@@ -222,6 +222,8 @@ def _screws(
                 sigma = _sigma(error, rivals)
                 unseen += [f"screw {hypothesis.name}: {_UNSEEN_ROLL}"] if error.roll_deg is None else []
             words += [_doubt_by_rival(rival) for rival in rivals]
+            turns_deg = sorted({round(abs(one.turn_deg)) for one in trial.quality.alike if one.index == index})
+            unseen += [f"screw {hypothesis.name}: {_alike(turn)}" for turn in turns_deg if turn > SAME_TURN_DEG]
         if trial.found is not None and trial.found.at_bound[index]:
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
@@ -294,6 +296,12 @@ def _doubt_by_views(beside_px: Mapping[str, float]) -> str:
         f"the views do not agree on where it lies: {ways}; if the projection matrices may be off, let them be refined "
         "with the poses (--cameras auto), and if the images are distorted, correct that first"
     )
+
+
+def _alike(turn_deg: int) -> str:
+    """What a reader must know of a screw that looks the same at another turn."""
+    turn = "half a turn" if turn_deg > 170 else f"{turn_deg} degrees"
+    return f"its model looks the same after {turn} about its axis: its roll, and the roll's sigma, hold but for that"
 
 
 def _doubt_by_rival(rival: Rival) -> str:

@@ -30,7 +30,14 @@ from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.segment import LandmarkNoise
 from screwpose.registration import Progress, Registered
 from screwpose.registration.agreement import shifts_by_view
-from screwpose.registration.alternatives import DECIDED_SIGMAS, Rival, close_ways, compared_again, thread_lead_mm
+from screwpose.registration.alternatives import (
+    CLEAR_SIGMAS,
+    DECIDED_SIGMAS,
+    Rival,
+    close_ways,
+    compared_again,
+    thread_lead_mm,
+)
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import RecipeFit, Stage, Targets, fit_by_thickness, once_more, scaled_stages, settled
 from screwpose.registration.sharpness import as_imaged
@@ -78,6 +85,7 @@ class Quality:
         has 4 numbers a view, and hardly any freedom left.
     marks : how many numbers that are.
     rivals : other poses of its screws that the images do not rule out.
+    alike : those that they could not, since the implant is symmetric and looks the same there.
     cameras : what became of cameras that are free; the corrections count in `mark_chi_square`.
     errors : how far each screw's pose may be off; empty where that was not asked for, or cameras are free.
     beside_px : for each screw, the views that by themselves would have it elsewhere, and by how many px; empty as
@@ -88,17 +96,22 @@ class Quality:
     mark_chi_square: float
     marks: int
     rivals: tuple[Rival, ...] = ()
+    alike: tuple[Rival, ...] = ()
     cameras: CamerasFit | None = None
     errors: tuple[ExpectedError, ...] = ()
     beside_px: tuple[dict[str, float], ...] = ()
 
     def of(self, which: Sequence[int]) -> "Quality":
         """What of it holds of some of the screws; the marks' chi-square stays that of all."""
-        rivals = [replace(one, index=which.index(one.index)) for one in self.rivals if one.index in which]
+
+        def theirs(rivals: Sequence[Rival]) -> tuple[Rival, ...]:
+            return tuple(replace(one, index=which.index(one.index)) for one in rivals if one.index in which)
+
         return replace(
             self,
             energies=tuple(self.energies[index] for index in which),
-            rivals=tuple(rivals),
+            rivals=theirs(self.rivals),
+            alike=theirs(self.alike),
             errors=tuple(self.errors[index] for index in which) if self.errors else (),
             beside_px=tuple(self.beside_px[index] for index in which) if self.beside_px else (),
         )
@@ -294,17 +307,20 @@ def _judged(
     shares = energies_of_each(finest, bodies, found)
     of_each = tuple(dict(zip(case.views, row.tolist(), strict=True)) for row in shares)
     result = Registered(found, (False,) * len(bodies))
-    rivals = _undecided(bodies, fit.rivals) if isinstance(fit, RecipeFit) else ()
-    return result, Quality(of_each, chi_square, marks, rivals, cameras)
+    rivals, alike = _undecided(bodies, fit.rivals) if isinstance(fit, RecipeFit) else ((), ())
+    return result, Quality(of_each, chi_square, marks, rivals, alike, cameras)
 
 
-def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[Rival, ...]:
-    """Those that the images hardly rule out; not those that look the same since the implant is symmetric."""
-    return tuple(
-        rival
-        for rival in rivals
-        if rival.preference < DECIDED_SIGMAS and not rival.is_the_same(_order(bodies[rival.index].implant))
-    )
+def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[tuple[Rival, ...], tuple[Rival, ...]]:
+    """Those that the images hardly rule out; and apart from them those that look the same, the implant being symmetric:
+    which of the two the images prefer a little is chance."""
+    open_ones, alike = [], []
+    for rival in rivals:
+        if rival.preference < CLEAR_SIGMAS and rival.is_the_same(_order(bodies[rival.index].implant)):
+            alike.append(rival)
+        elif rival.preference < DECIDED_SIGMAS:
+            open_ones.append(rival)
+    return tuple(open_ones), tuple(alike)
 
 
 def _order(implant: Implant) -> int:

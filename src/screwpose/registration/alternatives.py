@@ -33,7 +33,7 @@ _ITERATIONS = 3
 # Poses that the images prefer by less may as well be the other way. On development cases right ones are preferred to
 # all that was tried by 1.2 and more, half of them by 3.7.
 DECIDED_SIGMAS = 1.0
-_CLEAR_SIGMAS = 3.0  # on development cases sharp images decided all that were left below it
+CLEAR_SIGMAS = 3.0  # on development cases sharp images decided all that were left below it
 SAME_TURN_DEG, SAME_SHIFT_MM = 10.0, 0.3  # nearer poses are one, not yet at rest
 _REST_DEG, _REST_MM = 3.0, 0.1  # what a coarser image may differ by
 _SECTION_MM = 0.3
@@ -212,7 +212,7 @@ def compared_again(
     """
     best, judged = [np.asarray(pose, dtype=np.float64) for pose in poses], []
     for rival in rivals:
-        if rival.preference >= _CLEAR_SIGMAS:
+        if rival.preference >= CLEAR_SIGMAS:
             judged.append(rival)
             continue
         body = bodies[rival.index]
