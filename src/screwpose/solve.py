@@ -1,6 +1,6 @@
 """The whole job: from a case to its result."""
 
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal
@@ -17,16 +17,22 @@ from screwpose.files.result import Result
 from screwpose.pairing.advice import why_open
 from screwpose.pairing.answer import Trial, answered, refused
 from screwpose.pairing.cameras import CameraMode, with_sigmas
-from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge, judged_again
+from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
 from screwpose.pairing.holding import HeldScrew, begun_poses, held_combination
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
-from screwpose.pairing.image_evidence import log_odds_of_pairs
 from screwpose.pairing.plausibility import check_plausibility
 from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.segment import LandmarkNoise, fit_segment
 from screwpose.pairing.thickness import prepare_thickness, refine_by_thickness, settle_by_thickness
+from screwpose.pairing.trials import (
+    judged_by_marks,
+    not_registered,
+    weighed_by_images,
+    with_seen_models,
+    without_open_pairs,
+)
 from screwpose.registration import SearchOptions
 
 Method = Literal["default", "paper", "epipolar"]
@@ -255,7 +261,8 @@ def _registered_by_thickness(
         held = first.found.world_from_cad if first.quality.cameras is None else first.quality.cameras.held
         known.update(zip(first.combination.hypotheses, held, strict=True))
     done += in_threads(one_of_several, range(len(done), len(promising)), together.give_up)
-    ranking = _judged_by_marks([*done, *(trial for trial in trials if trial not in promising)], ranking)
+    rest = [trial for trial in trials if trial not in promising]
+    ranking = judged_by_marks([*done, *rest], ranking)
     within = part_of(tell, 0.7, 1.0)
 
     def settled(trial: Trial) -> Trial:
@@ -270,66 +277,26 @@ def _registered_by_thickness(
     # What is not settled explains too little to be held against it: so the first by the marks is settled, and whatever
     # is then more probable.
     chosen = min(done, key=_by_chi_square)
+    chosen, (done, rest), ranking = with_seen_models(case, evidence, thickness, chosen, (done, rest), ranking)
     at_rest: dict[Combination, Trial] = {}
     while chosen.combination not in at_rest:
         at_rest[chosen.combination] = settled(chosen)
         within = part_of(tell, 1.0, 1.0)  # a second one is seldom
         done = [at_rest.get(trial.combination, trial) for trial in done]
-        weighed = _weighed_by_images(done, ranking, at_rest)
+        weighed = weighed_by_images(done, ranking, at_rest)
         chosen = max(done, key=lambda trial: weighed.probability_of(trial.combination))
-        late = _not_registered(weighed, done)
+        late = not_registered(weighed, done)
         if late is not None and options.held is None and len(at_rest) < _MOST_SETTLED:
             placed = tuple(place(evidence, hypothesis) for hypothesis in late.hypotheses)
             trial = Trial(late, weighed.probability_of(late), placed, score(evidence, late, placed))
             chosen = registered(trial, part_of(tell, 1.0, 1.0, "registering what has become more probable: "))
             done.append(chosen)
-    others = [trial for trial in trials if trial not in promising] + [trial for trial in done if trial is not chosen]
+    others = rest + [trial for trial in done if trial is not chosen]
     others = [replace(trial, probability=weighed.probability_of(trial.combination)) for trial in others]
     chosen = replace(chosen, probability=weighed.probability_of(chosen.combination))
     if options.held is None:  # a person's pairs are the answer, however open they are
-        chosen = _without_open_pairs(evidence, chosen, weighed)
+        chosen = without_open_pairs(evidence, chosen, weighed)
     return [chosen, *sorted(others, key=_ORDERS[options.method])], weighed
-
-
-def _not_registered(ranking: Ranking, done: list[Trial]) -> Combination | None:
-    """The most probable combination, where it is neither one of the registered ones nor a part of one: it may have a
-    pair more than the best had by its landmarks, which all that were registered have as many as."""
-    best = ranking.most_probable
-    return None if any(set(best.hypotheses) <= set(trial.combination.hypotheses) for trial in done) else best
-
-
-def _judged_by_marks(trials: list[Trial], ranking: Ranking) -> Ranking:
-    """What is known of all pairings once the marks of some are seen beside their registered models."""
-    marks = [(t.quality.mark_chi_square, t.quality.marks) if t.quality else (np.nan, np.nan) for t in trials]
-    again = judged_again(np.array([trial.probability for trial in trials]), *np.array(marks).T)
-    return ranking.with_probabilities(
-        {trial.combination: float(probability) for trial, probability in zip(trials, again, strict=True)}
-    )
-
-
-def _weighed_by_images(trials: list[Trial], ranking: Ranking, at_rest: Container[Combination]) -> Ranking:
-    """The ranking with what the registered pairs explain; that of those not settled counts only in their favour."""
-    seen = [
-        (one.combination.hypotheses, one.quality.energies, one.combination in at_rest) for one in trials if one.quality
-    ]
-    settled = log_odds_of_pairs((pairs, energies) for pairs, energies, is_settled in seen if is_settled)
-    rough = log_odds_of_pairs((pairs, energies) for pairs, energies, is_settled in seen if not is_settled)
-    return ranking.weighed({pair: max(odds, 0.0) for pair, odds in rough.items()} | settled)
-
-
-def _without_open_pairs(evidence: Evidence, trial: Trial, ranking: Ranking) -> Trial:
-    """A registered combination without those of its pairs that are more probably none."""
-    best = ranking.most_probable
-    places = {hypothesis: index for index, hypothesis in enumerate(trial.combination.hypotheses)}
-    is_part = 0 < len(best.hypotheses) < len(places) and all(one in places for one in best.hypotheses)
-    assert trial.found is not None
-    assert trial.quality is not None
-    if not is_part or trial.quality.cameras is not None:
-        return trial
-    kept = [places[one] for one in best.hypotheses]
-    placed, found = tuple(trial.placed[index] for index in kept), trial.found.of(kept)
-    pre, post = score(evidence, best, placed), score(evidence, best, found.world_from_cad)
-    return Trial(best, ranking.probability_of(best), placed, pre, found, post, trial.quality.of(kept))
 
 
 def _by_chi_square(trial: Trial) -> tuple[bool, float]:

@@ -131,7 +131,7 @@ def test_a_pair_that_is_more_probably_none_is_not_answered(
         pairs = {pair for hypotheses, _ in registered for pair in hypotheses}
         return {pair: doubted.get(frozenset(pair.labels), 0.0) for pair in pairs}
 
-    monkeypatch.setattr("screwpose.solve.log_odds_of_pairs", odds)
+    monkeypatch.setattr("screwpose.pairing.trials.log_odds_of_pairs", odds)
     answer = solve(case, QUICK).answer
     kept, gone = truth.screws[0].labels, truth.screws[1].labels
     assert answer.pairing.pairs == (kept,)

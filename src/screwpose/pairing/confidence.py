@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from screwpose._types import FloatArray
-from screwpose.pairing.hypotheses import Combination, Hypothesis
+from screwpose.pairing.hypotheses import SURE_MODEL_MARGIN, Combination, Hypothesis
 from screwpose.pairing.posterior import PairingModel, log_scale_evidence
 
 Status = Literal["confident", "ambiguous", "refused"]
@@ -20,7 +20,6 @@ CONFIDENT_PROBABILITY = 0.99
 # Landmarks this unlikely under the assumed noise are doubted, and at the second limit not believed at all.
 _DOUBTFUL_P_VALUE = 1e-3
 _IMPOSSIBLE_P_VALUE = 1e-12
-_SURE_MODEL_MARGIN = 9.2  # in chi-square, between two models of one screw: odds of 100 to 1
 
 
 @dataclass(frozen=True)
@@ -130,10 +129,10 @@ def _doubtful_pairs(combination: Combination) -> list[str]:
 def _open_models(combination: Combination) -> list[str]:
     """Screws whose model the landmarks leave open."""
     return [
-        f"screw {hypothesis.name}: the landmarks fit the model {hypothesis.runner_up} nearly as well as "
+        f"screw {hypothesis.name}: landmarks and X-rays fit the model {hypothesis.runner_up} nearly as well as "
         f"{hypothesis.model}; name the model in its annotation"
         for hypothesis in combination.hypotheses
-        if hypothesis.runner_up is not None and hypothesis.runner_up_margin < _SURE_MODEL_MARGIN
+        if hypothesis.runner_up is not None and hypothesis.runner_up_margin < SURE_MODEL_MARGIN
     ]
 
 

@@ -17,6 +17,7 @@ Labels = tuple[tuple[str, str], ...]
 """One screw's labels: (view, label) for each view in which it was marked, in the order of the views."""
 Fit = Callable[[Sequence[Camera], FloatArray, FloatArray, float, LandmarkNoise], SegmentFit]
 """``fit(cameras, tips_px, centers_px, length_mm, noise)``: how well a pair is one screw, as `fit_segment`."""
+SURE_MODEL_MARGIN = 9.2  # in chi-square, between two models of one screw: odds of 100 to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,7 @@ class Hypothesis:
     ----------
     runner_up : where the annotations leave the model open, the one that fits next best.
     runner_up_margin : how much larger its chi-square is.
+    open_models : the other models that the landmarks leave open, the best first, with the segments they give.
     """
 
     labels: Labels
@@ -34,6 +36,7 @@ class Hypothesis:
     fit: SegmentFit
     runner_up: str | None = None
     runner_up_margin: float = np.inf
+    open_models: tuple[tuple[str, SegmentFit], ...] = ()
 
     @property
     def name(self) -> str:
@@ -169,8 +172,9 @@ def _best_model(labels: Labels, fits: Mapping[str, SegmentFit | None]) -> Hypoth
     best, *others = sorted(possible, key=lambda name: possible[name].chi_square)
     if not others:
         return Hypothesis(labels, best, possible[best])
-    margin = possible[others[0]].chi_square - possible[best].chi_square
-    return Hypothesis(labels, best, possible[best], others[0], margin)
+    margins = {name: possible[name].chi_square - possible[best].chi_square for name in others}
+    still_open = tuple((name, possible[name]) for name in others if margins[name] < SURE_MODEL_MARGIN)
+    return Hypothesis(labels, best, possible[best], others[0], margins[others[0]], still_open)
 
 
 def combinations(

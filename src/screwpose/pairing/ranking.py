@@ -84,6 +84,14 @@ class Ranking:
         weights = self.probabilities * np.exp(np.array(gains) - max(gains, default=0.0))
         return replace(self, probabilities=weights / weights.sum())
 
+    def with_pairs(self, others: Mapping[Hypothesis, Hypothesis]) -> tuple["Ranking", dict[Combination, Combination]]:
+        """The same where some pairs are known to be of other models; and what has become of each combination."""
+        changed = {
+            one: replace(one, hypotheses=tuple(others.get(pair, pair) for pair in one.hypotheses))
+            for one in self.combinations
+        }
+        return replace(self, combinations=tuple(changed.values())), changed
+
     def pair_probability(self, labels: Labels) -> float:
         """That these marks are of one screw, and of no other view's."""
         holds = [any(h.labels == labels for h in one.hypotheses) for one in self.combinations]

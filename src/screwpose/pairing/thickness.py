@@ -179,7 +179,7 @@ def refine_by_thickness(
     known : where screws ended that were registered in another combination: they begin there.
     is_hopeless : screws that explain little are left as they are, and do not begin again in other ways.
     """
-    bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
+    bodies = [body_of(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
     has_finer = len(stages) > 1 and not stages[-1][1].other_ways
     coarse = stages[:-1] if has_finer else stages
@@ -208,7 +208,7 @@ def settle_by_thickness(
     ----------
     begun : what has become of cameras that are free.
     """
-    bodies = [_body(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
+    bodies = [body_of(case, thickness, hypothesis) for hypothesis in combination.hypotheses]
     stages = _stages(thickness, noise)
     leads_mm = _leads_mm(thickness, combination)
     if begun is not None:
@@ -327,7 +327,8 @@ def _order(implant: Implant) -> int:
     return symmetry_order(implant.mesh, implant.tip_mm, implant.axis)
 
 
-def _body(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:
+def body_of(case: Case, thickness: Thickness, hypothesis: Hypothesis) -> Body:
+    """What is drawn of a screw, and its marks."""
     implant: Implant = case.implants[hypothesis.model]
     by_label = {(view, mark.label): mark for view, marks in case.annotations.items() for mark in marks}
     marks = [by_label[key] for key in hypothesis.labels]

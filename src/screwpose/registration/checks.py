@@ -19,6 +19,7 @@ def preference(
     poses: Sequence[FloatArray],
     others: Sequence[FloatArray],
     fixed: Fixed | None = None,
+    other_bodies: Sequence[Body] | None = None,
 ) -> float:
     """By how many standard deviations the images prefer some poses to others.
 
@@ -31,6 +32,7 @@ def preference(
     ----------
     poses, others : (4, 4) of each body, both fitted.
     fixed : bodies that stand still beside these; None: there are none.
+    other_bodies : what is at `others`, where that is not the same.
 
     Returns
     -------
@@ -41,21 +43,20 @@ def preference(
     Vuong (1989), "Likelihood ratio tests for model selection and non-nested hypotheses".
     """
     of_views = zip(views, fixed or [None] * len(views), strict=True)
-    blocks = np.concatenate([_differences(view, bodies, poses, others, lengths) for view, lengths in of_views])
+    scenes = ((bodies, poses), (bodies if other_bodies is None else other_bodies, others))
+    blocks = np.concatenate([_differences(view, scenes, lengths) for view, lengths in of_views])
     spread = float(np.sqrt(np.sum((blocks - blocks.mean()) ** 2))) if len(blocks) else 0.0
     return float(blocks.sum()) / spread if spread > 0.0 else 0.0
 
 
 def _differences(
     view: GradientTarget,
-    bodies: Sequence[Body],
-    poses: Sequence[FloatArray],
-    others: Sequence[FloatArray],
+    scenes: tuple[tuple[Sequence[Body], Sequence[FloatArray]], tuple[Sequence[Body], Sequence[FloatArray]]],
     fixed_mm: ImageArray | None,
 ) -> FloatArray:
-    """What `poses` gain over `others` in log-likelihood, summed over each block that either explains, (blocks,)."""
-    together = packed(bodies, view.scale)
-    found = [assess(view, together, scene, fixed_mm=fixed_mm) for scene in (poses, others)]
+    """What the first scene gains over the second in log-likelihood, summed over each block that either explains,
+    (blocks,)."""
+    found = [assess(view, packed(bodies, view.scale), poses, fixed_mm=fixed_mm) for bodies, poses in scenes]
     compared = [one.compared() for one in found]
     places = np.concatenate([np.stack([rows, columns]) for rows, columns, _ in compared], axis=1)
     if not places.size:

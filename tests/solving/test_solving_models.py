@@ -1,0 +1,71 @@
+"""A person who does not say which model each screw is: the X-rays tell those of one length apart, or it stays open."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from screwpose.benchmark import pairing_is_right, screw_errors
+from screwpose.files.case import Case, read_case
+from screwpose.files.schema import TruthFile
+from screwpose.files.truth import read_truth
+from screwpose.implants import Implant, Mesh
+from screwpose.pairing import LandmarkNoise
+from screwpose.simulation.scenes import two_screw_scene
+from screwpose.simulation.writing import write_case
+from screwpose.solve import SolveOptions, solve
+
+OPTIONS = SolveOptions(noise=LandmarkNoise(sigma_px=0.6), faces=300)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Case, TruthFile]:
+    folder = tmp_path_factory.mktemp("simulated") / "case"
+    path = write_case(two_screw_scene(21, landmark_noise_px=0.3, image_size=(320, 320)), folder)
+    return read_case(path), read_truth(path.parent / "truth.json")
+
+
+def in_another_frame(implant: Implant, name: str, wider: float) -> Implant:
+    """The same length, across the axis wider by a factor, with the CAD's axes and origin elsewhere."""
+    axis = implant.axis
+    turn = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+
+    def placed(points_mm: np.ndarray) -> np.ndarray:
+        along = (points_mm - implant.tip_mm) @ axis
+        across = points_mm - implant.tip_mm - along[..., None] * axis
+        return np.asarray((along[..., None] * axis + wider * across) @ turn.T + [5.0, -3.0, 40.0])
+
+    ends = placed(np.stack([implant.tip_mm, implant.center_mm]))
+    return Implant(name, Mesh(placed(implant.mesh.vertices_mm), implant.mesh.faces), ends[0], ends[1])
+
+
+def unnamed(case: Case, more: list[Implant], first: bool) -> Case:
+    """The case with more models, before its own or after them, and no mark that says which it is."""
+    own = dict(case.implants)
+    added = {one.name: one for one in more}
+    marks = {view: tuple(replace(mark, model=None) for mark in of_view) for view, of_view in case.annotations.items()}
+    return replace(case, annotations=marks, implants={**added, **own} if first else {**own, **added})
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_the_x_rays_tell_models_of_one_length_apart(simulated: tuple[Case, TruthFile], first: bool) -> None:
+    case, truth = simulated
+    others = [in_another_frame(one, f"wide-{name}", 1.25) for name, one in case.implants.items()]
+    answer = solve(unnamed(case, others, first), OPTIONS).answer
+    assert pairing_is_right(answer, truth)
+    assert {tuple(screw.labels.items()): screw.model for screw in answer.screws} == {
+        tuple(screw.labels.items()): screw.model for screw in truth.screws
+    }
+    assert answer.pairing.status == "confident"
+    for _, error in screw_errors(answer, truth, case.implants):
+        assert error is not None
+        assert error.tip_mm < 0.2
+
+
+def test_models_that_look_the_same_stay_open(simulated: tuple[Case, TruthFile]) -> None:
+    case, truth = simulated
+    others = [in_another_frame(one, f"copy-of-{name}", 1.0) for name, one in case.implants.items()]
+    answer = solve(unnamed(case, others, False), OPTIONS).answer
+    assert pairing_is_right(answer, truth)
+    assert answer.status == "ambiguous"
+    assert sum("nearly as well" in warning and "name the model" in warning for warning in answer.warnings) == 2
