@@ -41,7 +41,7 @@ class SideBySide:
             with self._turn:
                 if self._is_given_up:
                     raise CancelledError("stopped with the other combinations")
-                self._shares[index] = fraction
+                self._shares[index] = max(fraction, self._shares[index])
                 self._tell(sum(self._shares) / len(self._shares), f"registering side by side: {what}")
 
         return tell

@@ -53,7 +53,7 @@ _FEW_SCREWS = 3
 _HOPELESS = 1e-9
 # Combinations of many screws that are more probable than this are registered too.
 _OPEN = 0.005
-# So many are settled at most, each of which made another more probable.
+# Once so many are settled, each of which made another more probable, no more are registered.
 _MOST_SETTLED = 4
 
 
@@ -277,7 +277,9 @@ def _registered_by_thickness(
     # What is not settled explains too little to be held against it: so the first by the marks is settled, and whatever
     # is then more probable.
     chosen = min(done, key=_by_chi_square)
-    chosen, (done, rest), ranking = with_seen_models(case, evidence, thickness, chosen, (done, rest), ranking)
+    chosen, (done, rest), ranking = with_seen_models(
+        case, evidence, thickness, chosen, (done, rest), ranking, part_of(tell, 0.7, 0.7)
+    )
     at_rest: dict[Combination, Trial] = {}
     while chosen.combination not in at_rest:
         at_rest[chosen.combination] = settled(chosen)
@@ -291,6 +293,7 @@ def _registered_by_thickness(
             trial = Trial(late, weighed.probability_of(late), placed, score(evidence, late, placed))
             chosen = registered(trial, part_of(tell, 1.0, 1.0, "registering what has become more probable: "))
             done.append(chosen)
+            rest = [trial for trial in rest if trial.combination is not late]
     others = rest + [trial for trial in done if trial is not chosen]
     others = [replace(trial, probability=weighed.probability_of(trial.combination)) for trial in others]
     chosen = replace(chosen, probability=weighed.probability_of(chosen.combination))

@@ -1,16 +1,26 @@
 """A person who does not say which model each screw is: the X-rays tell those of one length apart, or it stays open."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from screwpose._progress import tell_nobody
 from screwpose.benchmark import pairing_is_right, screw_errors
 from screwpose.files.case import Case, read_case
 from screwpose.files.schema import TruthFile
 from screwpose.files.truth import read_truth
+from screwpose.geometry import rigid
 from screwpose.implants import Implant, Mesh
-from screwpose.pairing import LandmarkNoise
+from screwpose.pairing import LandmarkNoise, trials
+from screwpose.pairing.answer import Trial
+from screwpose.pairing.evidence import gather, place, score
+from screwpose.pairing.hypotheses import Combination, HypothesisTable
+from screwpose.pairing.ranking import Ranking, ranked_pairings
+from screwpose.pairing.thickness import Quality
+from screwpose.projection.silhouette import silhouette
+from screwpose.registration import Registered
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
 from screwpose.solve import SolveOptions, solve
@@ -69,3 +79,43 @@ def test_models_that_look_the_same_stay_open(simulated: tuple[Case, TruthFile]) 
     assert pairing_is_right(answer, truth)
     assert answer.status == "ambiguous"
     assert sum("nearly as well" in warning and "name the model" in warning for warning in answer.warnings) == 2
+
+
+@pytest.mark.parametrize("is_ranked", [True, False])
+def test_a_pose_stays_with_the_model_whose_frame_it_is_in(
+    simulated: tuple[Case, TruthFile], monkeypatch: pytest.MonkeyPatch, is_ranked: bool
+) -> None:
+    """Also in other combinations that share the pair, and in one that only a person holds to."""
+    case, _ = simulated
+    case = unnamed(case, [in_another_frame(one, f"wide-{name}", 1.25) for name, one in case.implants.items()], True)
+    evidence = gather(case, 300, silhouette, is_quick=True)
+    table = HypothesisTable(case, OPTIONS.noise)
+    both = ranked_pairings(case, OPTIONS.noise, table).combinations[0]
+    first = both.hypotheses[0]
+    alone = Combination((first,), both.unpaired)
+    other = replace(first, model=next(name for name, _ in first.open_models))
+
+    def trial(combination: Combination) -> Trial:
+        placed = tuple(place(evidence, one) for one in combination.hypotheses)
+        quality = Quality(({},) * len(placed), 0.0, 0)
+        found = Registered(placed, (False,) * len(placed))
+        return Trial(combination, 0.5, placed, score(evidence, combination, placed), found, None, quality)
+
+    pose = place(evidence, other)
+    monkeypatch.setattr(trials, "seen_models", lambda *_: ([other, both.hypotheses[1]], [pose, trial(both).placed[1]]))
+    ranked = (both, alone) if is_ranked else (alone,)
+    ranking = Ranking(ranked, np.full(len(ranked), 1.0 / len(ranked)), 1.0)
+    given, part = trial(both), trial(alone)
+    chosen, (done, rest), after = trials.with_seen_models(
+        case, evidence, cast(Any, None), given, ([part, given], [part]), ranking, tell_nobody
+    )
+    assert chosen is done[1]
+    for one in (chosen, *done, *rest):
+        assert one.combination.hypotheses[0] is other
+        assert one.found is not None
+        for poses in (one.placed, one.found.world_from_cad):
+            for hypothesis, its in zip(one.combination.hypotheses, poses, strict=True):
+                tip = rigid.transform(its, case.implants[hypothesis.model].tip_mm)
+                assert np.linalg.norm(tip - hypothesis.fit.tip_mm) < 2.0
+    assert {one.hypotheses[0] for one in after.combinations} == {other}
+    assert done[0].combination is after.combinations[-1] is rest[0].combination

@@ -222,8 +222,9 @@ def _screws(
                 sigma = _sigma(error, rivals)
                 unseen += [f"screw {hypothesis.name}: {_UNSEEN_ROLL}"] if error.roll_deg is None else []
             words += [_doubt_by_rival(rival) for rival in rivals]
-            turns_deg = sorted({round(abs(one.turn_deg)) for one in trial.quality.alike if one.index == index})
-            unseen += [f"screw {hypothesis.name}: {_alike(turn)}" for turn in turns_deg if turn > SAME_TURN_DEG]
+            turns_deg = [abs(one.turn_deg) for one in trial.quality.alike if one.index == index]
+            alike = dict.fromkeys(_alike(turn) for turn in sorted(turns_deg) if turn > SAME_TURN_DEG)
+            unseen += [f"screw {hypothesis.name}: {words}" for words in alike]
         if trial.found is not None and trial.found.at_bound[index]:
             words.append(
                 "the search ended near its bounds: the marks started it too far off, or the loss drew it away from them"
@@ -298,9 +299,9 @@ def _doubt_by_views(beside_px: Mapping[str, float]) -> str:
     )
 
 
-def _alike(turn_deg: int) -> str:
+def _alike(turn_deg: float) -> str:
     """What a reader must know of a screw that looks the same at another turn."""
-    turn = "half a turn" if turn_deg > 170 else f"{turn_deg} degrees"
+    turn = "half a turn" if turn_deg > 170 else f"{turn_deg:.0f} degrees"
     return f"its model looks the same after {turn} about its axis: its roll, and the roll's sigma, hold but for that"
 
 

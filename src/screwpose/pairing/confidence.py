@@ -129,7 +129,7 @@ def _doubtful_pairs(combination: Combination) -> list[str]:
 def _open_models(combination: Combination) -> list[str]:
     """Screws whose model the landmarks leave open."""
     return [
-        f"screw {hypothesis.name}: landmarks and X-rays fit the model {hypothesis.runner_up} nearly as well as "
+        f"screw {hypothesis.name}: the model {hypothesis.runner_up} fits nearly as well as "
         f"{hypothesis.model}; name the model in its annotation"
         for hypothesis in combination.hypotheses
         if hypothesis.runner_up is not None and hypothesis.runner_up_margin < SURE_MODEL_MARGIN

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from screwpose._progress import Progress
 from screwpose._types import FloatArray
 from screwpose.files.case import Case
 from screwpose.geometry import rigid
@@ -36,7 +37,11 @@ class _Candidate:
 
 
 def seen_models(
-    case: Case, thickness: Thickness, hypotheses: Sequence[Hypothesis], poses: Sequence[FloatArray]
+    case: Case,
+    thickness: Thickness,
+    hypotheses: Sequence[Hypothesis],
+    poses: Sequence[FloatArray],
+    progress: Progress,
 ) -> tuple[list[Hypothesis], list[FloatArray]]:
     """The screws with the models that landmarks and X-rays together say they are, and their poses (4, 4).
 
@@ -46,10 +51,12 @@ def seen_models(
     Parameters
     ----------
     poses : (4, 4) each, registered.
+    progress : told before each screw that is asked about; what it raises stops the work.
     """
     found, best = list(hypotheses), list(poses)
     for index, hypothesis in enumerate(hypotheses):
         if hypothesis.open_models:
+            progress(index / len(hypotheses), f"comparing models of screw {hypothesis.name}")
             found[index], best[index] = _of_one(case, thickness, found, best, index)
     return found, best
 

@@ -56,7 +56,7 @@ _SHARP_PX, _MEAN_PX = 0.7, 5
 _BETWEEN_ITERATIONS, _SHARP_ITERATIONS, _SHARP_ENOUGH_MM = 2, 6, 0.002
 # A view that would have a screw by so many px of the finest image elsewhere disagrees with the others. On development
 # cases 309 of 309 screws were within 0.36 px; with cameras 2 % and 1 degree off 56 of 64 were beyond 0.4.
-_DISAGREE_PX = 0.4
+_DISAGREE_PX, _SURE_SIGMAS = 0.4, 3.0
 # So many triangles are enough from so many px in one on.
 _COARSER_FACES = {2: 2_500}
 
@@ -251,14 +251,15 @@ def _beside_px(
     names: Sequence[str], views: Sequence[GradientTarget], bodies: Sequence[Body], poses: Sequence[FloatArray]
 ) -> tuple[dict[str, float], ...]:
     """For each screw, the views that disagree about it, and by how many px of the X-ray."""
-    shifts_px = np.linalg.norm(shifts_by_view(views, bodies, poses), axis=2)
+    shifts_px, deviations_px = (np.linalg.norm(one, axis=2) for one in shifts_by_view(views, bodies, poses))
+    disagrees = (shifts_px > _DISAGREE_PX) & (shifts_px > _SURE_SIGMAS * deviations_px)
     return tuple(
         {
-            name: float(shift_px * view.scale)
-            for name, view, shift_px in zip(names, views, of_screw, strict=True)
-            if shift_px > _DISAGREE_PX
+            name: float(shifts_px[screw, index] * view.scale)
+            for index, (name, view) in enumerate(zip(names, views, strict=True))
+            if disagrees[screw, index]
         }
-        for of_screw in shifts_px
+        for screw in range(len(bodies))
     )
 
 
@@ -316,8 +317,8 @@ def _undecided(bodies: Sequence[Body], rivals: Sequence[Rival]) -> tuple[tuple[R
     which of the two the images prefer a little is chance."""
     open_ones, alike = [], []
     for rival in rivals:
-        if rival.preference < CLEAR_SIGMAS and rival.is_the_same(_order(bodies[rival.index].implant)):
-            alike.append(rival)
+        if rival.preference < CLEAR_SIGMAS and rival.is_the_same(order := _order(bodies[rival.index].implant)):
+            alike += [rival] if order != CONTINUOUS else []  # whose roll is not seen at all
         elif rival.preference < DECIDED_SIGMAS:
             open_ones.append(rival)
     return tuple(open_ones), tuple(alike)

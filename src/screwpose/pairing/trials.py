@@ -1,15 +1,17 @@
 """What is known of all ways to pair the marks once some of them were registered."""
 
-from collections.abc import Container
+from collections.abc import Container, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from screwpose._progress import Progress
+from screwpose._types import FloatArray
 from screwpose.files.case import Case
 from screwpose.pairing.answer import Trial
 from screwpose.pairing.confidence import judged_again
-from screwpose.pairing.evidence import Evidence, place, score
-from screwpose.pairing.hypotheses import Combination
+from screwpose.pairing.evidence import Evidence, Poses, place, score
+from screwpose.pairing.hypotheses import Combination, Hypothesis
 from screwpose.pairing.image_evidence import log_odds_of_pairs
 from screwpose.pairing.ranking import Ranking
 from screwpose.pairing.seen_models import seen_models
@@ -23,29 +25,45 @@ def with_seen_models(
     chosen: Trial,
     groups: tuple[list[Trial], list[Trial]],
     ranking: Ranking,
+    progress: Progress,
 ) -> tuple[Trial, tuple[list[Trial], list[Trial]], Ranking]:
-    """The chosen trial with the models that the X-rays show, where the landmarks leave them open; and all others, which
-    share its pairs, with the same."""
+    """The chosen trial, one of the first group, with the models that the X-rays show, where the landmarks leave them
+    open; and all others, which share its pairs, with the same."""
     pairs = chosen.combination.hypotheses
     assert chosen.found is not None
     assert chosen.quality is not None
     if chosen.quality.cameras is not None or not any(pair.open_models for pair in pairs):
         return chosen, groups, ranking
-    seen, poses = seen_models(case, thickness, pairs, chosen.found.world_from_cad)
-    ranking, changed = ranking.with_pairs(dict(zip(pairs, seen, strict=True)))
-    done, rest = (
-        [replace(one, combination=changed.get(one.combination, one.combination)) for one in group] for group in groups
-    )
-    placed = tuple(
-        pose if now.model == before.model else place(evidence, now)
-        for pose, before, now in zip(chosen.placed, pairs, seen, strict=True)
-    )
-    combination = changed.get(chosen.combination, chosen.combination)
-    index = next(number for number, one in enumerate(done) if one.combination is combination)
-    found = replace(chosen.found, world_from_cad=tuple(poses))
-    pre, post = score(evidence, combination, placed), score(evidence, combination, found.world_from_cad)
-    done[index] = replace(chosen, combination=combination, placed=placed, found=found, pre=pre, post=post)
-    return done[index], (done, rest), ranking
+    seen, poses = seen_models(case, thickness, pairs, chosen.found.world_from_cad, progress)
+    now = dict(zip(pairs, seen, strict=True))
+    found = dict(zip(pairs, poses, strict=True))
+    placed = {old: place(evidence, new) for old, new in now.items() if new.model != old.model}
+    ranking, changed = ranking.with_pairs(now)
+
+    def with_them(trial: Trial) -> Trial:
+        before = trial.combination
+        if not any(pair in now for pair in before.hypotheses):
+            return trial
+        # One that a person holds to need not be in the ranking.
+        after = changed.get(before) or replace(before, hypotheses=tuple(now.get(one, one) for one in before.hypotheses))
+        trial = replace(trial, combination=after)
+        if not any(pair in placed for pair in before.hypotheses):
+            return trial
+        trial = replace(trial, placed=_with(trial.placed, before, placed))
+        trial = replace(trial, pre=score(evidence, after, trial.placed))
+        if trial.found is None:
+            return trial
+        others = {pair: pose for pair, pose in found.items() if pair in placed}  # a pose is one of a model's own frame
+        its = replace(trial.found, world_from_cad=_with(trial.found.world_from_cad, before, others))
+        return replace(trial, found=its, post=score(evidence, after, its.world_from_cad))
+
+    done, rest = ([with_them(trial) for trial in group] for group in groups)
+    return done[groups[0].index(chosen)], (done, rest), ranking
+
+
+def _with(poses: Poses, combination: Combination, others: Mapping[Hypothesis, FloatArray]) -> Poses:
+    """A combination's poses, some of them replaced."""
+    return tuple(others.get(pair, pose) for pair, pose in zip(combination.hypotheses, poses, strict=True))
 
 
 def not_registered(ranking: Ranking, done: list[Trial]) -> Combination | None:
