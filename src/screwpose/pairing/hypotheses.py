@@ -1,7 +1,7 @@
 """Which screw in one view may be which in another? Every pair that the rays allow, and the combinations of pairs."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,24 @@ class Hypothesis:
     def by_view(self) -> dict[str, str]:
         """The label in each view."""
         return dict(self.labels)
+
+    def of_model(self, model: str) -> "Hypothesis":
+        """The same screw as another model: where the landmarks leave that open, with the segment they give it, and its
+        own model is then as open."""
+        if model == self.model:
+            return self
+        fit = dict(self.open_models).get(model)
+        if fit is None:
+            return replace(self, model=model)
+        others = ((self.model, self.fit), *(one for one in self.open_models if one[0] != model))
+        return replace(
+            self,
+            model=model,
+            fit=fit,
+            runner_up=self.model,
+            runner_up_margin=self.fit.chi_square - fit.chi_square,
+            open_models=others,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from screwpose.files.result import PosedImplant, Result
 from screwpose.geometry import Camera, rigid
 from screwpose.geometry.handling import ellipse_in_view, shift_in_view
 from screwpose.pairing.evidence import Evidence
-from screwpose.pairing.hypotheses import Combination
+from screwpose.pairing.hypotheses import Combination, Labels
 from screwpose.report.palette import Palette, screw_name
 from screwpose.report.shadows import Shadow, cast_shadows
 from screwpose.workbench.store import RESULT_FOLDER
@@ -106,6 +106,7 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
         ],
         "columns": [{"key": one.key, "title": one.title, "group": one.group} for one in table.columns],
         "screws": screws,
+        "can_move": seen.combination is not None,
         "shadows": {
             f"{number}-{stage}-{view}": [_shadow(one) for one in cast]
             for (number, stage, view), cast in drawings.shadows.items()
@@ -119,7 +120,7 @@ def review(tell: Tell, folder: str, cache: str) -> dict[str, Any]:
 
 def nudge(
     _tell: Tell, folder: str, poses: list[list[list[float]]], index: int, view: str, move: dict[str, float]
-) -> dict[str, Any]:
+) -> dict[str, Any] | None:
     """Move one screw of the chosen combination, and say how well all of them explain the X-rays then.
 
     Parameters
@@ -131,19 +132,22 @@ def nudge(
 
     Returns
     -------
-    ``poses``, ``shadows`` by view, ``dice`` and ``loss``, and each view's own.
+    ``poses``, ``shadows`` by view, ``dice`` and ``loss``, and each view's own. None where the case does not have the
+    answer's marks or models any more (`can_move` of the review).
     """
     from screwpose.pairing.evidence import score
 
     seen = _reviewed(folder)
     screws = seen.result.answer.screws
-    if seen.combination is None or len(poses) != len(screws) or not 0 <= index < len(screws):
+    if seen.combination is None:
+        return None
+    if len(poses) != len(screws) or not 0 <= index < len(screws):
         raise InputError("there is no such screw in the result")
     now = [np.array(one, dtype=np.float64) for one in poses]
     now[index] = moved_by_hand(seen.case, view, screws[index].model, now[index], move)
     posed = tuple(PosedImplant(one.labels, one.model, pose) for one, pose in zip(screws, now, strict=True))
-    in_order = {tuple(one.labels.items()): pose for one, pose in zip(screws, now, strict=True)}
-    scored = score(seen.evidence, seen.combination, tuple(in_order[h.labels] for h in seen.combination.hypotheses))
+    own = {_in_order(seen.case, one.labels): pose for one, pose in zip(screws, now, strict=True)}
+    scored = score(seen.evidence, seen.combination, tuple(own[h.labels] for h in seen.combination.hypotheses))
     return {
         "poses": [pose.tolist() for pose in now],
         "shadows": {name: [seen.shadow(name, one) for one in posed] for name in seen.case.views},
@@ -187,32 +191,51 @@ def _reviewed(folder: str) -> Reviewed:
         return _kept[folder][1]
     noise = LandmarkNoise()
     case = with_sigmas(read_case(folder), "given", noise)
-    result = read_solved(Path(folder) / RESULT_FOLDER)
+    marked = {(view, mark.label) for view, marks in case.annotations.items() for mark in marks}
+    result = _with_models_of(case, read_solved(Path(folder) / RESULT_FOLDER))
     table = HypothesisTable(case, noise)
     evidence = gather(case, None, silhouette, is_quick=True)
     placed = []
     of_number: dict[int, Combination] = {}
     for scene in result.scenes:
-        screws = [tuple((v, one.labels[v]) for v in case.views if v in one.labels) for one in scene.pre]
-        combination = combination_of(table, case, screws)
-        in_order = {tuple(one.labels.items()): one.world_from_cad for one in scene.pre}
-        if all(h.labels in in_order for h in combination.hypotheses):
-            of_number[scene.id] = combination
-            placed.append((combination, tuple(in_order[h.labels] for h in combination.hypotheses)))
+        if any(key not in marked for one in scene.pre for key in one.labels.items()):
+            continue  # its marks were renamed or removed since
+        posed = {_in_order(case, one.labels): one for one in scene.pre}
+        found = combination_of(table, case, list(posed))
+        if len(found.hypotheses) < len(posed):
+            continue  # or cannot be its screws any more
+        # The X-rays may have chosen another model than the landmarks, and the poses are in its CAD frame.
+        own = tuple(one.of_model(posed[one.labels].model) for one in found.hypotheses)
+        of_number[scene.id] = combination = replace(found, hypotheses=own)
+        placed.append((combination, tuple(posed[one.labels].world_from_cad for one in own)))
     evidence = with_metal(evidence, case, placed)
     refined = result.answer.cameras
     if refined:
         cameras = {
-            name: Camera.from_matrix(np.array(one.projection), case.views[name].camera.image_size)
-            for name, one in refined.items()
+            name: Camera.from_matrix(np.array(refined[name].projection), view.camera.image_size)
+            if name in refined
+            else view.camera
+            for name, view in case.views.items()
         }
         case, evidence = in_cameras(case, cameras), replace(evidence, cameras=cameras)
     chosen = chosen_combination(result.answer)
-    own = None if chosen is None else of_number.get(chosen.id)
-    seen = Reviewed(case, result, Palette.of_case(case), evidence, own)
+    answered = None if chosen is None else of_number.get(chosen.id)
+    seen = Reviewed(case, result, Palette.of_case(case), evidence, answered)
     _kept.clear()
     _kept[folder] = (stamp, seen)
     return seen
+
+
+def _with_models_of(case: Case, result: Result) -> Result:
+    """What can still be drawn of a result: no combination and no screw whose model the case does not have any more."""
+    scenes = tuple(one for one in result.scenes if all(posed.model in case.implants for posed in (*one.pre, *one.post)))
+    screws = tuple(one for one in result.answer.screws if one.model in case.implants)
+    return Result(result.answer.model_copy(update={"screws": screws}), scenes)
+
+
+def _in_order(case: Case, labels: Mapping[str, str]) -> Labels:
+    """A screw's labels as its hypothesis has them."""
+    return tuple((view, labels[view]) for view in case.views if view in labels)
 
 
 def _ellipses(case: Case, tip: Sequence[float], covariance: Any) -> dict[str, list[float]]:
