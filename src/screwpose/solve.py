@@ -20,7 +20,7 @@ from screwpose.pairing.cameras import CameraMode, with_sigmas
 from screwpose.pairing.confidence import CONFIDENT_PROBABILITY, judge
 from screwpose.pairing.epipolar import fit_epipolar
 from screwpose.pairing.evidence import Evidence, Poses, gather, place, refine, score, with_metal
-from screwpose.pairing.holding import HeldScrew, begun_poses, held_combination
+from screwpose.pairing.holding import HeldScrew, begun_poses, held_combination, with_held_models
 from screwpose.pairing.hypotheses import Combination, Fit, Hypothesis, HypothesisTable
 from screwpose.pairing.plausibility import check_plausibility
 from screwpose.pairing.ranking import Ranking, ranked_pairings
@@ -122,9 +122,11 @@ def solve(case: Case, options: SolveOptions | None = None, progress: Progress | 
     findings = check_plausibility(case, options.noise)
     table = HypothesisTable(case, options.noise, _FITS[options.method])
     ranking = ranked_pairings(case, options.noise, table, options.combinations)
+    if options.held is not None:
+        ranking = with_held_models(ranking, options.held)
     ranked = ranking.shown(options.combinations)
     if options.held is not None:
-        held = held_combination(case, table, ranking, [one.labels for one in options.held])
+        held = held_combination(case, table, ranking, options.held)
         ranked = [held, *(one for one in ranked if one is not held)]
     if errors_in(findings) or not ranked:
         reasons = [finding.within_file() for finding in findings] or ["no two marks can be one screw"]

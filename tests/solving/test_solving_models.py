@@ -16,11 +16,12 @@ from screwpose.implants import Implant, Mesh
 from screwpose.pairing import LandmarkNoise, trials
 from screwpose.pairing.answer import Trial
 from screwpose.pairing.evidence import gather, place, score
+from screwpose.pairing.holding import HeldScrew
 from screwpose.pairing.hypotheses import Combination, HypothesisTable
 from screwpose.pairing.ranking import Ranking, ranked_pairings
 from screwpose.pairing.thickness import Quality
 from screwpose.projection.silhouette import silhouette
-from screwpose.registration import Registered
+from screwpose.registration import Registered, SearchOptions
 from screwpose.simulation.scenes import two_screw_scene
 from screwpose.simulation.writing import write_case
 from screwpose.solve import SolveOptions, solve
@@ -119,3 +120,37 @@ def test_a_pose_stays_with_the_model_whose_frame_it_is_in(
                 assert np.linalg.norm(tip - hypothesis.fit.tip_mm) < 2.0
     assert {one.hypotheses[0] for one in after.combinations} == {other}
     assert done[0].combination is after.combinations[-1] is rest[0].combination
+
+
+def test_a_screw_put_somewhere_by_hand_begins_there_as_the_model_that_was_put(
+    simulated: tuple[Case, TruthFile],
+) -> None:
+    case, truth = simulated
+    others = [in_another_frame(one, f"wide-{name}", 1.25) for name, one in case.implants.items()]
+    unclear = unnamed(case, others, True)  # by the landmarks each screw is the wide one, which is named first
+    put = tuple(HeldScrew(dict(one.labels), np.array(one.world_from_cad), one.model) for one in truth.screws)
+    placed_only = replace(OPTIONS, search=SearchOptions(generations=0))
+    on_landmarks = solve(unclear, replace(placed_only, held=tuple(HeldScrew(one.labels) for one in put)))
+    assert all(one.model.startswith("wide") for one in on_landmarks.scenes[0].pre)
+    as_put = solve(unclear, replace(placed_only, held=put))
+    for one in put:
+        (posed,) = (other for other in as_put.scenes[0].pre if other.labels == one.labels)
+        assert posed.model == one.model
+        np.testing.assert_array_equal(posed.world_from_cad, one.world_from_cad)
+    assert as_put.answer.combinations[0].pre.dice > 0.8
+    registered = solve(unclear, replace(OPTIONS, held=put))
+    assert {frozenset(one.labels.items()): one.model for one in registered.answer.screws} == {
+        frozenset(one.labels.items()): one.model for one in put
+    }
+
+
+def test_a_pose_of_a_model_that_the_marks_do_not_allow_is_no_place_to_begin(simulated: tuple[Case, TruthFile]) -> None:
+    case, truth = simulated
+    twins = [in_another_frame(one, f"twin-of-{name}", 1.0) for name, one in case.implants.items()]
+    named = replace(case, implants={**case.implants, **{one.name: one for one in twins}})
+    put = tuple(HeldScrew(one.labels, np.array(one.world_from_cad), f"twin-of-{one.model}") for one in truth.screws)
+    result = solve(named, replace(OPTIONS, search=SearchOptions(generations=0), held=put))
+    assert {one.model for one in result.scenes[0].pre} == {one.model for one in truth.screws}
+    for one in put:
+        (posed,) = (other for other in result.scenes[0].pre if other.labels == one.labels)
+        assert np.linalg.norm(posed.world_from_cad - one.world_from_cad) > 0.01  # laid on its landmarks instead

@@ -78,6 +78,18 @@ def test_an_answer_is_drawn_and_scored_with_its_own_models(folder):
     assert moved(folder, seen, u=15.0)["dice"] < now["dice"] - 0.05  # a score that sees where the model is
 
 
+def test_refining_goes_on_with_the_model_that_was_moved(folder):
+    changed(folder, lambda case: with_wider(case, folder))
+    before = read_solved(folder / "result").answer
+    poses = [{"labels": one.labels, "world_from_cad": one.world_from_cad} for one in before.screws]
+    TASKS["solve"](silent, str(folder), [one.labels for one in before.screws], poses, None)
+    scene = read_solved(folder / "result").scenes[0]
+    for one in before.screws:
+        (begun,) = (other for other in scene.pre if other.labels == one.labels)
+        assert begun.model == one.model
+        np.testing.assert_allclose(begun.world_from_cad, one.world_from_cad, atol=1e-9)
+
+
 @pytest.mark.parametrize("what", ["renamed", "removed", "view"])
 def test_a_result_outlives_its_marks(folder, what):
     def change(case):

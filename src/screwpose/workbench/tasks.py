@@ -2,7 +2,7 @@
 
 import base64
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -90,18 +90,26 @@ def solve_case(
 
     tell(0.0, "reading the case")
     case = read_case(folder)
-    begun = {tuple(sorted(one["labels"].items())): np.array(one["world_from_cad"]) for one in poses}
-    held = None
-    if pairs is not None:
-        held = tuple(HeldScrew(one, begun.get(tuple(sorted(one.items())))) for one in pairs)
     place = Path(folder) / store.RESULT_FOLDER
-    before = read_solved(place) if held is not None and (place / "result.json").exists() else None
+    held = before = None
+    if pairs is not None:
+        before = read_solved(place) if (place / "result.json").exists() else None
+        models = {} if before is None else {_key(one.labels): one.model for one in before.answer.screws}
+        begun = {_key(one["labels"]): np.array(one["world_from_cad"]) for one in poses}
+        # A pose by hand is of the model that the result has there.
+        held = tuple(
+            HeldScrew(one, begun.get(_key(one)), models.get(_key(one)) if _key(one) in begun else None) for one in pairs
+        )
     result = solve(case, SolveOptions(held=held), saying_that_it_compiles(tell))
     if before is not None and result.answer.status != "refused":
         result = beside_others(result, before, reason)
     with atomic_folder(place) as partial:
         write_solved(partial, result)
     return {"status": result.answer.status}
+
+
+def _key(labels: Mapping[str, str]) -> frozenset[tuple[str, str]]:
+    return frozenset(labels.items())
 
 
 def simulate(tell: Tell, workspace: str, seed: int) -> str:
