@@ -11,6 +11,7 @@ from screwpose.files.scenes import read_solved
 from screwpose.geometry import rigid
 from screwpose.implants import Mesh
 from screwpose.implants.mesh import write_stl
+from screwpose.workbench.store import CaseStore
 from screwpose.workbench.tasks import TASKS
 from tests.workbench.driving import case_in
 
@@ -130,3 +131,21 @@ def test_a_result_outlives_its_models(folder):
     assert len(seen["screws"]) < count
     assert not seen["can_move"]
     assert moved(copy, seen) is None
+
+
+def test_what_was_scored_of_another_state_of_the_case_does_not_stand_in_the_new_result(folder):
+    store = CaseStore(folder)
+    store.change_side(solved_from=store.digest)
+    first = read_solved(folder / "result").answer
+    assert len(first.combinations) == 2
+    other = [dict(one) for one in first.combinations[1].pairs]
+    TASKS["solve"](silent, str(folder), other, [], "the needle")
+    assert len(read_solved(folder / "result").answer.combinations) == 2
+    was = case_in(folder)["annotations"]["AP"][0]["label"]
+    changed(folder, lambda case: case["annotations"]["AP"][0].update(label="new"))
+    renamed = [{**one, "AP": "new" if one["AP"] == was else one["AP"]} for one in other]
+    TASKS["solve"](silent, str(folder), renamed, [], "the needle")
+    result = read_solved(folder / "result")
+    assert [list(one.pairs) for one in result.answer.combinations] == [renamed]
+    assert len(result.scenes) == 1
+    assert "the needle" in result.answer.warnings[0]

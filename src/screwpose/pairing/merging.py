@@ -5,15 +5,17 @@ from dataclasses import replace
 from screwpose.files.result import Result
 
 
-def beside_others(chosen: Result, before: Result, reason: str | None) -> Result:
+def beside_others(chosen: Result, before: Result | None, reason: str | None) -> Result:
     """The result of a pairing that was held to, with the other combinations of the result before.
 
     Parameters
     ----------
     chosen : of a solve with `held`: it has that combination alone.
-    before : what was scored before; its combination of the same pairs is replaced, and keeps its number.
+    before : what was scored before; its combination of the same pairs is replaced, and keeps its number. None where
+        nothing was, or where the case was another one.
     reason : the person's, for the warnings. None: the pairing is not the person's.
     """
+    before = before or chosen
     (own,) = chosen.answer.combinations
     pairs = {frozenset(one.items()) for one in own.pairs}
     same = [one.id for one in before.answer.combinations if {frozenset(p.items()) for p in one.pairs} == pairs]

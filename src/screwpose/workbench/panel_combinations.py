@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
 
 _STAGES = (("pre", "before"), ("post", "after"))
+SOLVE_FIRST = "solve again first: the case was changed since it was solved."
 
 
 class CombinationTable:
@@ -37,6 +38,8 @@ class CombinationTable:
             if not data["combinations"]:
                 return
             ui.label("Combinations (upper line before, lower line after registration)").classes("group")
+            if self._page.may_edit and self._page.session.is_stale:
+                ui.label(f"To choose another one: {SOLVE_FIRST}").classes("warning small")
             with ui.element("table").props('aria-label="Combinations"'):
                 losses = [f"{view} loss" for view in self._page.viewers]
                 with ui.element("thead"), ui.element("tr"):
@@ -77,7 +80,8 @@ class CombinationTable:
             is_own = self._page.session.store.side.choice is not None
             ui.label("yours" if is_own else "chosen").classes("badge")
         elif self._page.may_edit:
-            ui.button("Choose", on_click=partial(self._ask_reason, number)).props("outline dense no-caps")
+            button = ui.button("Choose", on_click=partial(self._ask_reason, number)).props("outline dense no-caps")
+            button.set_enabled(not self._page.session.is_stale)
 
     def _ask_reason(self, number: int) -> None:
         with ui.dialog(value=True) as dialog, ui.card().classes("dialog"):

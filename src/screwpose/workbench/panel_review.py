@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from nicegui import events, ui
 
-from screwpose.workbench.panel_combinations import CombinationTable
+from screwpose.workbench.panel_combinations import SOLVE_FIRST, CombinationTable
 from screwpose.workbench.panel_job import JobCard
 from screwpose.workbench.panel_mark import window_controls
 from screwpose.workbench.screw_buttons import screw_buttons
@@ -150,6 +150,7 @@ class ReviewPanel:
         """What can be done by hand with the chosen screw."""
         with ui.element("div").classes("hand") as self._hand:
             ui.label("Drag the screw in a view, or use the keys (press ?).").classes("muted small")
+            self._stale = ui.label(f"To refine: {SOLVE_FIRST}").classes("warning small")
             self._live = ui.label().classes("live").props('role="status"')
             with ui.row().classes("actions"):
                 self._refine_button = ui.button("Refine from here", on_click=self._refine).props("no-caps dense")
@@ -159,8 +160,10 @@ class ReviewPanel:
         page = self._page
         self._hand.set_visibility(page.screw is not None and page.may_edit and page.session.reviewed is not None)
         self._live.set_text(self._live_words())
-        for button in (self._refine_button, self._reset_button):
-            button.set_enabled(bool(page.session.store.side.by_hand))
+        is_moved, is_stale = bool(page.session.store.side.by_hand), page.session.is_stale
+        self._stale.set_visibility(is_stale)
+        self._refine_button.set_enabled(is_moved and not is_stale)
+        self._reset_button.set_enabled(is_moved)
 
     def _live_words(self) -> str:
         live = self._page.session.live

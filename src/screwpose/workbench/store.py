@@ -84,6 +84,11 @@ class CaseStore:
         return hashlib.sha256(json.dumps(self.draft, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
+    def is_stale(self) -> bool:
+        """Whether the case was changed since it was solved here."""
+        return self.side.solved_from not in (None, self.digest)
+
+    @property
     def is_changed_elsewhere(self) -> bool:
         """Whether another program wrote the case, or what belongs to it, since it was read."""
         side = _digest_of_file(self.folder / SIDE_NAME)

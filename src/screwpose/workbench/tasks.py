@@ -91,6 +91,7 @@ def solve_case(
     tell(0.0, "reading the case")
     case = read_case(folder)
     place = Path(folder) / store.RESULT_FOLDER
+    is_stale = store.CaseStore(Path(folder)).is_stale  # what was scored then cannot stand beside what is scored now
     held = before = None
     if pairs is not None:
         before = read_solved(place) if (place / "result.json").exists() else None
@@ -101,8 +102,8 @@ def solve_case(
             HeldScrew(one, begun.get(_key(one)), models.get(_key(one)) if _key(one) in begun else None) for one in pairs
         )
     result = solve(case, SolveOptions(held=held), saying_that_it_compiles(tell))
-    if before is not None and result.answer.status != "refused":
-        result = beside_others(result, before, reason)
+    if held is not None and result.answer.status != "refused":
+        result = beside_others(result, None if is_stale else before, reason)
     with atomic_folder(place) as partial:
         write_solved(partial, result)
     return {"status": result.answer.status}
