@@ -191,20 +191,32 @@ class ReviewPanel:
             self.refresh()
 
     # ---- what lies over the X-rays
+    @property
+    def _shows_answer(self) -> bool:
+        """Whether it is the answer, registered, and not another combination or where it began."""
+        data = self._page.session.reviewed
+        return data is not None and not self._before and self._shown in (None, data["chosen"])
+
+    @property
+    def _may_move(self) -> bool:
+        """Whether a hand may move screws: nobody moves what is not seen."""
+        data = self._page.session.reviewed
+        return self._page.may_edit and self._shows_answer and data is not None and bool(data["can_move"])
+
     def _overlay(self) -> None:
         session, page = self._page.session, self._page
         data = session.reviewed
         if data is None:
             return
         number = self._shown or data["chosen"]
-        is_answer = number == data["chosen"] and not self._before
+        is_answer = self._shows_answer
         name = None if page.screw is None or page.screw >= len(data["screws"]) else data["screws"][page.screw]["name"]
         for view, viewer in page.viewers.items():
             shadows = data["shadows"].get(
                 f"{number}-{'pre' if self._before else 'post'}-{view}", data["shadows"].get(f"{number}-pre-{view}", [])
             )
             if is_answer and session.live is not None:
-                shadows = session.live["shadows"][view]
+                shadows = session.live["shadows"].get(view, [])
             ellipses = [] if not is_answer or session.live else _ellipses(data["screws"], view, shadows)
             marked = session.store.draft["annotations"].get(view, [])
             viewer.set(
@@ -213,6 +225,7 @@ class ReviewPanel:
                 ellipses=ellipses,
                 marks=[{**{k: one[k] for k in ("label", "tip", "center")}, "color": "#ffffff"} for one in marked],
                 selected=name,
+                movable=self._may_move,
                 layers=dict(self._layers),
             )
 
@@ -226,25 +239,22 @@ class ReviewPanel:
 
     # ---- by hand
     async def _nudged(self, view: str, event: events.GenericEventArguments) -> None:
-        data = self._page.session.reviewed
-        if data is None:
-            return
         self._picked(event)
         move = {"u": float(event.args["u"]), "v": float(event.args["v"])}
-        await self._move(view, move, bool(event.args["done"]))
+        await self._move(event.args["name"], view, move, bool(event.args["done"]))
 
     async def _turned(self, view: str, event: events.GenericEventArguments) -> None:
         key, step = _TURNS[str(event.args["key"])]
-        await self._move(view, {key: -step if event.args["back"] else step}, True)
+        await self._move(event.args["name"], view, {key: -step if event.args["back"] else step}, True)
 
-    async def _move(self, view: str, move: dict[str, float], done: bool) -> None:
-        """Move the chosen screw. A drag is told from where it began, so that of its moves only the last one counts."""
-        session, page = self._page.session, self._page
-        if session.reviewed is None or page.screw is None or not page.may_edit:
+    async def _move(self, name: str | None, view: str, move: dict[str, float], done: bool) -> None:
+        """Move a screw. A drag is told from where it began, so that of its moves only the last one counts."""
+        names = [one["name"] for one in (self._page.session.reviewed or {"screws": []})["screws"]]
+        if name not in names or not self._may_move:
             return
         if self._waiting and not self._waiting[-1]["done"]:
             self._waiting.pop()
-        self._waiting.append({"view": view, "move": move, "done": done})
+        self._waiting.append({"index": names.index(name), "view": view, "move": move, "done": done})
         if self._busy:
             return
         self._busy = True
@@ -255,15 +265,15 @@ class ReviewPanel:
             self._busy = False
 
     async def _moved(self, asked: dict[str, Any]) -> None:
-        session, page = self._page.session, self._page
+        session, done = self._page.session, asked.pop("done")
         self._start = self._start or session.poses_now
-        moved = await session.ask("nudge", poses=self._start, index=page.screw, view=asked["view"], move=asked["move"])
-        if asked["done"]:
+        moved = await session.ask("nudge", poses=self._start, **asked)
+        if done:
             self._start = None
         if moved is None:
             return
         session.live = moved
-        if asked["done"] and not self._waiting:
+        if done and not self._waiting:
             session.put_by_hand(moved["poses"])  # which has every tab refreshed
         else:
             self._live.set_text(self._live_words())

@@ -57,7 +57,7 @@ export default {
 
   mounted() {
     this.state = { marks: [], begun: null, pairs: [], outlines: [], metal: [], outside: [], ellipses: [], epipolar: {},
-      layers: {}, mode: "mark", selected: null, heard: 0, editable: true, brush: 20, counts: false };
+      layers: {}, mode: "mark", selected: null, heard: 0, editable: true, movable: false, brush: 20, counts: false };
     this.levels = [];
     this.place = { u: 0, v: 0, zoom: 1 }; // the image position in the middle, and screen pixels an image pixel
     this.bounds = [0, 65535]; this.inverted = false; this.loupe = true;
@@ -417,7 +417,7 @@ export default {
         this.trail = [at];
       } else if (s.mode === "pose" && !event.altKey) {
         const hit = this.outlineAt(at);
-        if (hit) { this.$emit("picked", { name: hit.name }); if (s.editable) this.drag.pose = hit.name; }
+        if (hit) { this.$emit("picked", { name: hit.name }); if (s.movable) this.drag.pose = hit.name; }
       }
       this.ask();
     },
@@ -504,7 +504,7 @@ export default {
       if (!(event.key in arrows) && !["Shift", "Alt"].includes(event.key)) this.rest(); // what follows is about the point as it is
       if (event.key in arrows) {
         const [x, y] = arrows[event.key];
-        if (s.mode === "pose" && s.editable && s.selected) this.$emit("nudged", { name: s.selected, u: x * far, v: y * far, done: true });
+        if (s.mode === "pose" && s.movable && s.selected) this.$emit("nudged", { name: s.selected, u: x * far, v: y * far, done: true });
         else if (s.mode === "mark" && s.editable && s.selected) this.step(x * far, y * far);
         else this.pan(-40 * x, -40 * y);
       } else if (event.key === "+" || event.key === "=") this.zoomAt(this.middle(), 1.25);
@@ -513,7 +513,7 @@ export default {
       else if (event.key === "i") this.invert();
       else if (event.key === "o") this.toggleLoupe();
       else if (["1", "2", "3", "4"].includes(event.key)) this.preset(["auto", "full", "metal", "bone"][event.key - 1]);
-      else if (s.mode === "pose" && "rRtTaAdD".includes(event.key)) this.$emit("turned", { key: event.key.toLowerCase(), back: event.shiftKey, name: s.selected });
+      else if (s.mode === "pose" && s.movable && s.selected && "rRtTaAdD".includes(event.key)) this.$emit("turned", { key: event.key.toLowerCase(), back: event.shiftKey, name: s.selected });
       else if (s.mode === "mark" && s.editable && event.key === "n") this.put([this.place.u, this.place.v]);
       else if (s.mode === "mark" && event.key === "Enter") this.$emit("entered", { u: this.place.u, v: this.place.v });
       else if (event.key === "[" || event.key === "]") this.$emit("stepped", { by: event.key === "]" ? 1 : -1 });
