@@ -115,15 +115,17 @@ def test_a_screw_is_moved_by_hand_scored_at_once_kept_and_refined_from_there(wor
     tab.page.locator(".screw").first.click()
     tab.canvas("AP").focus()
     tab.page.wait_for_function("window.screwposeViewers.AP.state.selected")
-    for _ in range(2):
+    drawn = "JSON.stringify(window.screwposeViewers?.AP?.state.outlines.map((one) => one.paths) ?? [])"
+    for _ in range(2):  # one after the other: what is read below is where both have left it
+        before = tab.page.evaluate(drawn)
         tab.page.keyboard.press("Shift+ArrowRight")
+        tab.page.wait_for_function(f"(before) => {drawn} !== before", arg=before)
     tab.text("By hand: Dice").wait_for()
     tab.button("Refine from here").wait_for()
     tab.page.wait_for_function("!document.querySelector('.hand button').disabled")
     held = np.array(side_of(workspace / "demo")["by_hand"][0]["world_from_cad"])
     assert 0.05 < np.linalg.norm(held[:3, 3] - solved[:3, 3]) < 5.0
     np.testing.assert_allclose(held[:3, :3], solved[:3, :3], atol=1e-9)
-    drawn = "JSON.stringify(window.screwposeViewers?.AP?.state.outlines.map((one) => one.paths) ?? [])"
     by_hand = tab.page.evaluate(drawn)
     said = tab.page.locator(".live").inner_text()
     tab.page.reload()
