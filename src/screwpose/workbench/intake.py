@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from screwpose.errors import InputError, ScrewposeError
 from screwpose.files.atomic import write_bytes
@@ -14,29 +14,38 @@ from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.store import safe_file_name
 from screwpose.workbench.uploading import Uploaded
 
+Told: TypeAlias = dict[str, str]  # level and text
+
 _LONGEST_CASE = 2 * 2**20
 
 
-async def take_in(sessions: Sessions, session: Session, files: list[Uploaded], view: str | None = None) -> list[str]:
-    """Put files into a case; what could not be used is returned in words.
+async def take_in(sessions: Sessions, session: Session, files: list[Uploaded], view: str | None = None) -> list[Told]:
+    """Put files into a case.
 
     Parameters
     ----------
     view : the view that images and calibrations are for; None: what their names say.
+
+    Returns
+    -------
+    What a person must be told, as `check` tells it: what could not be used, and what was replaced.
     """
-    problems = []
+    told = []
     for file in files:
         try:
             arguments: dict[str, object] = {"path": str(file.path), "name": file.name, "unit": "mm"}
             found = await sessions.helped("identify", arguments)
             assert isinstance(found, dict)
-            _place(session, file, found, view)
+            told += [
+                {"level": "warning", "text": f"{file.name}: {note}"} for note in _place(session, file, found, view)
+            ]
         except ScrewposeError as error:
-            problems.append(f"{file.name}: {error}")
-    return problems
+            told.append({"level": "error", "text": f"{file.name}: {error}"})
+    return told
 
 
-def _place(session: Session, file: Uploaded, found: dict[str, Any], view: str | None) -> None:
+def _place(session: Session, file: Uploaded, found: dict[str, Any], view: str | None) -> list[str]:
+    before = session.store.draft["views"]
     if found["kind"] == "image":
         name = _kept(session, file, Path(), "image")
         now = session.store.draft
@@ -45,6 +54,12 @@ def _place(session: Session, file: Uploaded, found: dict[str, Any], view: str | 
         _place_mesh(session, file, found)
     else:
         _place_text(session, file.name, found["text"], view)
+    now = session.store.draft["views"]
+    return [
+        f"the calibration of {name} was replaced: is it of this view? Undo brings the one before back."
+        for name, one in before.items()
+        if "projection" in one and now.get(name, {}).get("projection") != one["projection"]
+    ]
 
 
 def _kept(session: Session, file: Uploaded, folder: Path, otherwise: str) -> str:
@@ -84,12 +99,10 @@ def _place_text(session: Session, name: str, text: str, view: str | None) -> Non
         raise InputError("the text is too long for a calibration")
     now = session.store.draft
     if view is None:
-        lowered = name.lower()
-        named = next((one for one in drafts.CUSTOMARY_VIEWS if one.lower() in lowered), None)
         free = [
             one for one in (*drafts.CUSTOMARY_VIEWS, *now["views"]) if "projection" not in now["views"].get(one, {})
         ]
-        view = named or (free[0] if free else drafts.CUSTOMARY_VIEWS[0])
+        view = drafts.named_view(name) or (free[0] if free else drafts.CUSTOMARY_VIEWS[0])
     session.change(drafts.with_projection(now, view, read_calibration(text)))
 
 

@@ -65,8 +65,7 @@ class _New:
         if store is None:
             return
         session = self._sessions.get(store.folder.name)
-        problems = await take_in(self._sessions, session, files)
-        session.told_of_files = problems
+        session.told_of_files = await take_in(self._sessions, session, files)
         ui.navigate.to(f"/case/{store.folder.name}")
 
     def _made(self) -> CaseStore | None:

@@ -70,9 +70,9 @@ class ImagesPanel:
         self._shown = shown
         self._cards.clear()
         with self._cards:
-            for problem in session.told_of_files:
+            for one in session.told_of_files:
                 with ui.element("section").classes("card span"):
-                    notes([{"level": "error", "text": problem}])
+                    notes([one])
             for view in dict.fromkeys([*session.store.draft["views"], *drafts.CUSTOMARY_VIEWS]):
                 if view in session.store.draft["views"] or len(session.store.draft["views"]) < 2:
                     self._view_card(view, [one for one in findings if _is_about(one, f"views.{view}")])

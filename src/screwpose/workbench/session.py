@@ -61,7 +61,7 @@ class Session:
     reviewed: dict[str, Any] | None = None
     live: dict[str, Any] | None = None
     problem: str = ""
-    told_of_files: list[str] = field(default_factory=list)
+    told_of_files: list[dict[str, str]] = field(default_factory=list)
     notes_of_models: dict[str, list[str]] = field(default_factory=dict)
     job: Job | None = None
     listeners: dict[str, Callable[[], None]] = field(default_factory=dict)
