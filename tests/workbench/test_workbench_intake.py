@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from screwpose.implants import read_mesh
 from screwpose.workbench import draft as drafts
 from screwpose.workbench.intake import take_in
 from screwpose.workbench.session import Session
@@ -27,12 +28,11 @@ def given(folder, *files):
 
     async def drop():
         session = Session("demo", CaseStore(folder), folder, asyncio.Semaphore(1))
-
-        async def nothing(_task, **_arguments):
-            return None
-
-        session.ask = nothing  # nobody looks at the case
-        return session, await take_in(InProcess(), session, [Uploaded(one, one.name) for one in files])
+        session.look_soon = lambda: None  # nobody looks at the case
+        told = await take_in(InProcess(), session, [Uploaded(one, one.name) for one in files])
+        session.store.claim.release()
+        assert not session.problem
+        return session, told
 
     return awaited(drop())
 
@@ -81,3 +81,76 @@ def test_a_calibration_whose_name_says_nothing_goes_where_none_is(workspace, cal
     session, told = given(folder, file)
     np.testing.assert_array_equal(session.store.draft["views"]["LAT"]["projection"], matrix)
     assert told == []
+
+
+def rod(length, scale=1.0):
+    """A binary STL of a box, 4 x 4 x `length` mm, in a unit of 1 / `scale` mm."""
+    corners = np.array([[x, y, z] for x in (0, 4) for y in (0, 4) for z in (0, length)], dtype=np.float64) * scale
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    records = b"".join(bytes(12) + corners[list(face)].astype("<f4").tobytes() + bytes(2) for face in faces)
+    return bytes(80) + len(faces).to_bytes(4, "little") + records
+
+
+@pytest.fixture
+def proposing(monkeypatch):
+    """Landmarks that say how long the mesh is, and in which unit it was read."""
+
+    def identify(_tell, path, name, unit):
+        long_mm = float(np.ptp(read_mesh(path, unit).vertices_mm[:, 2]))
+        return {"kind": "mesh", "tip": [0.0, 0.0, 0.0], "center": [0.0, 0.0, long_mm], "confidence": unit, "notes": []}
+
+    monkeypatch.setitem(TASKS, "identify", identify)
+
+
+def center_of(session, name):
+    return session.store.draft["models"][name]["center"]
+
+
+@pytest.mark.usefixtures("proposing")
+def test_a_new_mesh_has_landmarks_of_its_own_and_the_same_one_keeps_what_a_hand_gave(tmp_path):
+    folder = CaseStore.created(tmp_path, "case").folder
+    file = tmp_path / "screw.stl"
+    file.write_bytes(rod(30.0))
+    session, _ = given(folder, file)
+    assert center_of(session, "screw") == [0.0, 0.0, 30.0]
+    assert session.notes_of_models == {"screw": ["Landmarks proposed: mm."]}
+    by_hand = {**session.store.draft["models"]["screw"], "center": [1.0, 2.0, 3.0]}
+    session.store.change(drafts.with_model(session.store.draft, "screw", by_hand))
+    session.store.claim.release()
+    session, _ = given(folder, file)
+    assert center_of(session, "screw") == [1.0, 2.0, 3.0]
+    assert session.notes_of_models == {}
+    file.write_bytes(rod(45.0))
+    session, _ = given(folder, file)
+    assert center_of(session, "screw") == [0.0, 0.0, 45.0]
+    assert session.notes_of_models == {"screw": ["Landmarks proposed: mm."]}
+    assert list(session.store.draft["models"]) == ["screw"]
+
+
+@pytest.mark.usefixtures("proposing")
+def test_a_mesh_is_read_in_the_unit_that_is_known_of_its_model(tmp_path):
+    store = CaseStore.created(tmp_path, "case")
+    store.change(drafts.with_model(store.draft, "screw", {"unit": "cm"}))
+    store.claim.release()
+    (tmp_path / "screw.stl").write_bytes(rod(30.0, scale=0.1))
+    session, _ = given(store.folder, tmp_path / "screw.stl")
+    np.testing.assert_allclose(center_of(session, "screw"), [0.0, 0.0, 30.0], rtol=1e-6)
+    assert session.store.draft["models"]["screw"]["unit"] == "cm"
+
+
+@pytest.mark.usefixtures("proposing")
+def test_two_meshes_of_one_name_in_a_drop_are_two_models(tmp_path):
+    folder = CaseStore.created(tmp_path, "case").folder
+    files = []
+    for place, long in (("a", 30.0), ("b", 45.0)):
+        (tmp_path / place).mkdir()
+        files.append(tmp_path / place / "screw.stl")
+        files[-1].write_bytes(rod(long))
+    for dropped in (files, [*files, files[0]]):  # once more they are the same two
+        session, told = given(folder, *dropped)
+        assert told == []
+        assert {name: one["center"][2] for name, one in session.store.draft["models"].items()} == {
+            "screw": 30.0,
+            "screw-2": 45.0,
+        }
