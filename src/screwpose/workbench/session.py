@@ -312,10 +312,10 @@ class Session:
 
     def close(self) -> None:
         """End its processes, and leave the case to others."""
-        self.store.claim.release()
         self.reader.end()
         if self.job is not None and self.job.child is not None:
             self.job.child.end()
+        self.store.claim.release()
 
     async def gone(self) -> None:
         """Wait until they are no more."""

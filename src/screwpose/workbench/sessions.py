@@ -71,9 +71,11 @@ class Sessions:
                 await child.gone()
 
     async def close(self) -> None:
-        """End all processes, and throw the cache away."""
-        for session in self._open.values():
-            session.close()
-        for session in self._open.values():
-            await session.gone()
-        shutil.rmtree(self.cache, ignore_errors=True)
+        """End all processes, and throw the cache away: it has pixels of patients."""
+        try:
+            for session in self._open.values():
+                session.close()
+            for session in self._open.values():
+                await session.gone()
+        finally:
+            shutil.rmtree(self.cache, ignore_errors=True)
