@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from screwpose.workbench.workspace import address_of
+
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
 
@@ -52,7 +54,7 @@ class ExportPanel:
                         ui.label(title).classes("strong")
                         ui.label(words).classes("muted small")
                     if ready:
-                        ui.link(f"Get {name}", f"/export/{session.key}/{name}", new_tab=name == "report.html").classes(
+                        ui.link(f"Get {name}", address_of(session.key, name), new_tab=name == "report.html").classes(
                             "get"
                         )
                     else:
