@@ -5,6 +5,9 @@ from types import SimpleNamespace
 
 from screwpose.files.case import read_case
 from screwpose.images import read_mask
+from screwpose.workbench import panel_images
+from screwpose.workbench.panel_export import ExportPanel
+from screwpose.workbench.panel_images import ImagesPanel
 from screwpose.workbench.panel_mark import MarkPanel
 from screwpose.workbench.session import Session
 from screwpose.workbench.store import CaseStore
@@ -48,3 +51,23 @@ def test_two_strokes_at_once_are_two_masks_and_two_steps_back(workspace):
     assert counting() == [False, True]
     assert session.store.undo()
     assert "mask" not in session.store.draft["views"]["AP"]
+
+
+def test_a_tab_that_only_looks_writes_no_report_and_says_that_it_takes_no_files(workspace, monkeypatch):
+    said, asked = [], []
+    session = session_on(workspace / "demo")
+
+    async def ask(task, **_arguments):
+        asked.append(task)
+
+    session.ask = ask
+    monkeypatch.setattr(panel_images.ui, "notify", lambda words, **_options: said.append(words))
+    page = SimpleNamespace(session=session, may_edit=False)
+    button = SimpleNamespace(props=lambda *_arguments, **_options: None)
+    awaited(ExportPanel(page)._write(button))
+    awaited(ImagesPanel(page)._take([]))
+    assert asked == []
+    assert "only be looked at" in said[0]
+    page.may_edit = True
+    awaited(ExportPanel(page)._write(button))
+    assert asked == ["export"]

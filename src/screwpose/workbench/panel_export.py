@@ -47,6 +47,7 @@ class ExportPanel:
             if session.is_solved and not is_written:
                 button = ui.button("Write the report").props("no-caps")
                 button.on_click(partial(self._write, button))
+                button.set_enabled(self._page.may_edit)
             for name, title, words in _FILES:
                 ready = name == "case.zip" or (session.is_solved and (is_written or name == "result.json"))
                 with ui.row().classes("export"):
@@ -61,6 +62,8 @@ class ExportPanel:
                         ui.label("not written yet").classes("muted small")
 
     async def _write(self, button: ui.button) -> None:
+        if not self._page.may_edit:  # the case was taken over since
+            return
         button.props("loading")
         await self._page.session.ask("export")
         self._page.session.tell()

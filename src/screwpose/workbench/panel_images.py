@@ -46,7 +46,9 @@ class ImagesPanel:
         self._dialog = _CalibrationDialog(self._page)
 
     async def _take(self, files: list[Uploaded]) -> None:
-        if self._page.may_edit:
+        if not self._page.may_edit:
+            ui.notify("Not taken: here the case can only be looked at. Take over to go on here.", type="negative")
+        else:
             session = self._page.session
             session.told_of_files = await take_in(self._page.sessions, session, files)
             session.tell()
