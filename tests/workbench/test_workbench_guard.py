@@ -8,6 +8,7 @@ import zlib
 import pytest
 
 from screwpose.workbench.guard import COOKIE, LARGEST_UPLOAD_BYTES, LOOPBACK, Guard
+from screwpose.workbench.workspace import address_of
 from tests.workbench.driving import awaited, case_in
 
 HOME = "http://127.0.0.1:8000"
@@ -29,11 +30,11 @@ async def application(scope, receive, send):
     await send({"type": "http.response.body", "body": str(length).encode()})
 
 
-def told(kind="http", method="GET", query="", body=(b"",), token=None, **headers):
+def told(kind="http", method="GET", path="/", query="", body=(b"",), token=None, **headers):
     """What comes of a request to the guard: status (None where nothing is answered), text, headers."""
     named = {"host": "127.0.0.1:8000", **{key.replace("_", "-"): value for key, value in headers.items()}}
     scope = {
-        "type": kind, "method": method, "path": "/", "query_string": query.encode(),
+        "type": kind, "method": method, "path": path, "query_string": query.encode(),
         "headers": [(key.encode(), value.encode()) for key, value in named.items()],
     }  # fmt: skip
     pieces, sent = iter(body), []
@@ -103,6 +104,8 @@ def test_the_token_goes_from_the_address_into_a_cookie_that_no_script_reads():
     assert "httponly" in headers["set-cookie"].lower()
     assert "samesite=strict" in headers["set-cookie"].lower()
     assert told(token="secret", cookie=f"{COOKIE}=secret")[0] == 200
+    _, _, headers = told(token="secret", path="/case/no #1? 5%20", query="token=secret")
+    assert headers["location"] == "/case/no%20%231%3F%205%2520"
 
 
 def test_more_than_a_case_is_refused_whatever_it_says_of_its_length():
@@ -146,6 +149,21 @@ def test_the_real_server_keeps_to_its_cases(workspace, serve):
     assert "sandbox" in headers["content-security-policy"]
     assert asked(server, "/", Host="evil.example")[0] == 421
     assert asked(server, "/_nicegui_ws/socket.io/?EIO=4&transport=polling", Origin="http://evil.example")[0] == 403
+
+
+def test_a_case_of_any_name_is_opened_listed_and_exported(workspace, serve):
+    name = "no #1? 50%20 & <b>"
+    (workspace / "demo").rename(workspace / name)
+    server = serve(workspace / name)
+    path = server.address.removeprefix(server.base)
+    status, page, _ = asked(server, path)
+    assert status == 200
+    assert b"cannot be opened" not in page
+    assert path.encode() in asked(server, "/")[1]
+    for wanted in ("case.json", "case.zip"):
+        status, body, _ = asked(server, address_of(name, wanted))
+        assert status == 200
+        assert body[:2] in (b"{\n", b"PK")
 
 
 def test_elsewhere_a_token_is_in_the_address_and_asked_for(workspace, serve):

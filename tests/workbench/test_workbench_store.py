@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from screwpose.errors import CaseError, OutputError
+from screwpose.errors import CaseError, OutputError, ScrewposeError
 from screwpose.files.case import read_case
 from screwpose.workbench import draft as drafts
+from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.side_file import Begun, BegunMark, Choice
 from screwpose.workbench.store import CaseStore, safe_file_name
-from screwpose.workbench.workspace import workspace_of
-from tests.workbench.driving import side_of
+from screwpose.workbench.workspace import Workspace, workspace_of
+from tests.workbench.driving import awaited, side_of
 
 
 def test_a_case_made_step_by_step_is_what_solving_reads(simulated, tmp_path):
@@ -226,3 +227,29 @@ def test_a_broken_case_file_opens_empty_or_says_why(tmp_path, text):
     else:
         with pytest.raises(CaseError):
             CaseStore(tmp_path)
+
+
+def test_a_case_that_is_broken_for_a_moment_keeps_its_session(workspace):
+    file = workspace / "demo" / "case.json"
+    whole = file.read_text()
+
+    async def ask():
+        sessions = Sessions(Workspace(workspace))
+        before = sessions.get("demo")
+        before.look_soon = lambda: None
+        file.write_text(whole[:40])
+        with pytest.raises(CaseError):
+            sessions.get("demo")
+        (workspace / "demo" / "workbench.json").write_text("{")
+        file.write_text(whole.replace('"id"', '"id" '))
+        with pytest.raises(ScrewposeError):
+            sessions.get("demo")
+        assert before.store.is_changed_elsewhere
+        (workspace / "demo" / "workbench.json").unlink()
+        again = sessions.get("demo")
+        await sessions.close()
+        return before, again
+
+    before, again = awaited(ask())
+    assert again is before
+    assert not again.store.is_changed_elsewhere

@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from screwpose.geometry import rigid
 from screwpose.images import read_mask
 from screwpose.pairing.holding import HeldScrew
 from screwpose.solve import SolveOptions, solve
+from screwpose.workbench.child import limit_memory
 from screwpose.workbench.process import Child, TaskError
 from screwpose.workbench.reviewing import moved_by_hand
 from screwpose.workbench.tasks import TASKS
@@ -153,3 +156,32 @@ def test_paint_takes_out_of_the_mask_and_puts_back(workspace):
     whole = {"points": [[0.0, 160.0], [320.0, 160.0]], "radius": 400.0, "counts": False}
     with pytest.raises(InputError, match="nothing of the X-ray would count"):
         TASKS["paint"](silent, str(folder), "AP", [whole], "AP-3.png")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of another kind")
+@pytest.mark.parametrize(("kilobytes", "want"), [("unlimited", 2**32), ("8000000", 2**32), ("3000000", 3_072_000_000)])
+def test_a_limit_that_is_there_already_is_kept_where_it_is_lower(kilobytes, want):
+    script = (
+        "import resource; from screwpose.workbench.child import limit_memory; limit_memory(2**32); "
+        "print(resource.getrlimit(resource.RLIMIT_AS)[0])"
+    )
+    given = subprocess.run(
+        ["sh", "-c", f"ulimit -v {kilobytes}; exec '{sys.executable}' -c '{script}'"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert int(given.stdout) == want
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of another kind")
+def test_where_the_system_sets_no_limit_it_goes_on_without(monkeypatch):
+    import resource
+
+    asked_for = []
+
+    def refused(kind, _limits):
+        asked_for.append(kind)
+        raise ValueError("current limit exceeds maximum limit")
+
+    monkeypatch.setattr(resource, "setrlimit", refused)
+    limit_memory(2**32)
+    assert asked_for == [resource.RLIMIT_AS, resource.RLIMIT_CORE]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import stat
 import subprocess
 import sys
 
@@ -10,8 +11,10 @@ import pytest
 from screwpose.errors import OutputError
 from screwpose.workbench import draft as drafts
 from screwpose.workbench.claim import OWNER_NAME, Claim
+from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.store import CaseStore
-from tests.workbench.driving import case_in, side_of
+from screwpose.workbench.workspace import Workspace
+from tests.workbench.driving import awaited, case_in, side_of
 
 
 def test_a_folder_is_one_servers_until_it_is_taken_or_left(tmp_path):
@@ -123,3 +126,46 @@ def test_a_second_server_is_told_follows_and_can_take_over(workspace, serve, ope
     first.page.keyboard.press("Control+z")
     first.text("AP: 2 screws").wait_for()
     assert len(case_in(folder)["annotations"]["AP"]) == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="rights of another kind")
+@pytest.mark.parametrize("rights", [0o700, 0o2775, 0o777])
+def test_whoever_may_write_a_shared_folder_may_claim_it(tmp_path, rights):
+    own = Claim(tmp_path)
+    own.renew()
+    tmp_path.chmod(rights)
+    own.renew()  # as one of an earlier version left it
+    assert stat.S_IMODE((tmp_path / OWNER_NAME).stat().st_mode) == rights & 0o666
+    assert (tmp_path / OWNER_NAME).stat().st_gid == tmp_path.stat().st_gid
+
+
+def test_a_claim_that_cannot_be_left_keeps_no_server_from_ending(workspace, monkeypatch):
+    def refused(*_arguments):
+        raise PermissionError(13, "Permission denied")
+
+    async def end():
+        sessions = Sessions(Workspace(workspace))
+        session = sessions.get("demo")
+        session.store.claim.renew()
+        (sessions.cache / "pixels.u16").write_bytes(b"a patient's")
+        monkeypatch.setattr("screwpose.workbench.claim._locked", refused)
+        await sessions.close()
+        return sessions, session
+
+    sessions, session = awaited(end())
+    assert not sessions.cache.exists()
+    assert session.reader.is_ended
+
+
+def test_nothing_keeps_the_cache_when_a_server_ends(workspace, monkeypatch):
+    async def end():
+        sessions = Sessions(Workspace(workspace))
+        session = sessions.get("demo")
+        monkeypatch.setattr(session.store.claim, "release", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            await sessions.close()
+        return sessions, session
+
+    sessions, session = awaited(end())
+    assert not sessions.cache.exists()
+    assert session.reader.is_ended

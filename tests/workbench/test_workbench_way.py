@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from screwpose.files.case import read_case
+from screwpose.geometry import rigid
 from screwpose.solve import solve
 from tests.workbench.driving import case_in, result_in, side_of
 
@@ -207,3 +208,29 @@ def test_by_keys_alone(workspace, serve, open_tab):
     tab.page.keyboard.type("seen on the needle")
     press("Enter")
     tab.text("The pairing is yours").wait_for()
+    tab_to(".stages button:nth-child(4)")
+    press("Enter")
+    tab.page.locator(".scene canvas").wait_for()
+    tab_to(".scene")
+    # The 3D view: the eye seen from what it turns about, and what is up.
+    where = """() => { const { camera, controls } = getElement(Number(document.activeElement.id.slice(1)));
+        const eye = camera.position.clone().sub(controls.target);
+        return [eye, camera.up, controls.target].map((one) => one.toArray()); }"""
+    seen = [np.array(tab.page.evaluate(where))]
+    for key in ("ArrowRight", "ArrowUp", "+", "Shift+ArrowRight"):
+        press(key)
+        seen.append(np.array(tab.page.evaluate(where)))
+    eyes, ups, targets = np.swapaxes(seen, 0, 1)
+    right = np.cross(ups[0], eyes[0])
+    for index, towards in ((0, right), (1, ups[1])):
+        before, after = eyes[index : index + 2]
+        assert (after - before) @ towards > 0
+        assert rigid.angle_between_rad(before, after) == pytest.approx(0.1, abs=1e-6)
+        assert np.linalg.norm(after) == pytest.approx(np.linalg.norm(before))
+    np.testing.assert_allclose(eyes[3], 0.9 * eyes[2], rtol=1e-6)
+    np.testing.assert_allclose(eyes[4], eyes[3], rtol=1e-6)
+    np.testing.assert_array_equal(targets[:4], targets[[0, 0, 0, 0]])
+    assert (targets[4] - targets[3]) @ right > 0
+    # All that the view fetches is there: a server whose page goes amid a request says so with a traceback.
+    fetched = "performance.getEntriesByType('resource').map((one) => one.name.match(/[/](mesh|preview)[/].*/)?.[0])"
+    tab.page.wait_for_function(f"new Set({fetched}.filter(Boolean)).size >= 3")

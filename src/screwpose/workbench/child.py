@@ -1,5 +1,6 @@
 """The other end of `screwpose.workbench.process`: ``python -m screwpose.workbench.child BYTES``."""
 
+import contextlib
 import json
 import os
 import sys
@@ -9,12 +10,17 @@ from screwpose.errors import ScrewposeError
 
 
 def limit_memory(number: int) -> None:
-    """Let this process have no more address space than so many bytes, where the system can say so."""
-    if sys.platform != "win32":
-        import resource
+    """Let this process have no more address space than so many bytes, or than it has already; where the system refuses
+    to, as macOS may, it goes on without."""
+    if sys.platform == "win32":
+        return
+    import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (number, number))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    least = number if hard == resource.RLIM_INFINITY else min(number, hard)
+    for kind, limit in ((resource.RLIMIT_AS, least), (resource.RLIMIT_CORE, 0)):
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(kind, (limit, limit))
 
 
 def answer(line: str, out: IO[str]) -> None:

@@ -70,8 +70,11 @@ class Claim:
             yield
 
     def release(self) -> None:
-        """Leave the folder to whoever wants it. The file stays: whoever waits for its lock has it open."""
-        with contextlib.suppress(FileNotFoundError), _locked(self._file, os.O_RDWR) as handle:
+        """Leave the folder to whoever wants it. The file stays: whoever waits for its lock has it open.
+
+        Where that cannot be, as in a folder of another user, its silence tells the others.
+        """
+        with contextlib.suppress(OSError), _locked(self._file, os.O_RDWR) as handle:
             if _read(handle) == self._own:
                 os.ftruncate(handle, 0)
 
@@ -83,6 +86,7 @@ class Claim:
                 owner = _read(handle)
                 if owner is None or owner == self._own or takes or _is_dead(owner, os.fstat(handle).st_mtime):
                     _write(handle, self._own)
+                    _share(handle, self._file.parent)
                     owner = None
             except OSError as error:
                 raise OutputError(
@@ -119,6 +123,18 @@ def _read(handle: int) -> Owner | None:
 def _write(handle: int, owner: Owner) -> None:
     os.lseek(handle, 0, os.SEEK_SET)
     os.ftruncate(handle, os.write(handle, json.dumps(asdict(owner)).encode()))
+
+
+def _share(handle: int, folder: Path) -> None:
+    """Whoever may write the folder may claim it: without, a colleague in a shared one would be kept out for good."""
+    if sys.platform == "win32":
+        return
+    rights, own = folder.stat(), os.fstat(handle)
+    if own.st_uid == os.geteuid() and own.st_mode & 0o666 != rights.st_mode & 0o666:
+        with contextlib.suppress(OSError):  # a group that is not ours to give
+            os.fchown(handle, -1, rights.st_gid)
+        with contextlib.suppress(OSError):  # a disk without rights
+            os.fchmod(handle, rights.st_mode & 0o666)
 
 
 @contextlib.contextmanager

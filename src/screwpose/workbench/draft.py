@@ -3,6 +3,7 @@
 A draft is what case.json holds, as plain data. It may lack what a case needs: `screwpose check` says what.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeAlias
 
@@ -13,6 +14,8 @@ Draft: TypeAlias = dict[str, Any]
 Landmark: TypeAlias = Literal["tip", "center"]
 
 CUSTOMARY_VIEWS = ("AP", "LAT")
+_WORDS_OF_VIEWS = {"AP": {"ap", "pa"}, "LAT": {"lat", "lateral"}}
+_WORD = re.compile(r"[^\W\d_]+")
 
 
 def empty_draft(name: str) -> Draft:
@@ -112,12 +115,19 @@ def next_label(draft: Draft, view: str) -> str:
     return next(one for one in candidates if one not in taken)
 
 
+def named_view(file_name: str) -> str | None:
+    """The view that a file's name says it is of, in a word of its own: a "capture" is no AP. None where it names none,
+    or both."""
+    words = set(_WORD.findall(file_name.lower()))
+    named = [view for view, its_words in _WORDS_OF_VIEWS.items() if words & its_words]
+    return named[0] if len(named) == 1 else None
+
+
 def free_view(draft: Draft, file_name: str) -> str:
     """The view that an image is of: what its name says, else the first that has none."""
     taken = {name for name, one in draft["views"].items() if "image" in one}
-    lowered = file_name.lower()
-    guess = "LAT" if "lat" in lowered else "AP" if "ap" in lowered or "pa" in lowered else None
-    names = [*([guess] if guess else []), *CUSTOMARY_VIEWS, *(f"view {n}" for n in range(3, 99))]
+    named = named_view(file_name)
+    names = [*([named] if named else []), *CUSTOMARY_VIEWS, *(f"view {n}" for n in range(3, 99))]
     return next(one for one in names if one not in taken)
 
 

@@ -1,9 +1,12 @@
 """What the pages fetch besides themselves: pixels, meshes, previews, and the files of an export."""
 
+import contextlib
+import os
 import re
 import shutil
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from fastapi import FastAPI, HTTPException
@@ -12,7 +15,6 @@ from fastapi.staticfiles import StaticFiles
 from starlette.background import BackgroundTask
 
 from screwpose.errors import CaseError
-from screwpose.workbench.claim import OWNER_NAME
 from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.store import REPORT_FOLDER, RESULT_FOLDER
 
@@ -78,14 +80,28 @@ def _folder(sessions: Sessions, case: str) -> Path:
         raise HTTPException(404) from error
 
 
+def _shown_files(folder: Path) -> Iterator[Path]:
+    """The files of a case. What is hidden is nothing to another computer: whose the case is here, what is written now,
+    or was when a solve was killed."""
+    for above, folders, names in os.walk(folder):
+        folders[:] = sorted(one for one in folders if not one.startswith("."))
+        paths = (Path(above, name) for name in sorted(names) if not name.startswith("."))
+        yield from (path for path in paths if path.is_file())
+
+
 def _zipped(folder: Path) -> FileResponse:
     """The whole case folder, to be opened on another computer."""
     place = Path(tempfile.mkdtemp(prefix="screwpose-zip-"))
     archive = place / f"{folder.name}.zip"
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as packed:
-        for path in sorted(folder.rglob("*")):
-            if path.is_file() and path.name != OWNER_NAME:  # whose it is here is nothing to another computer
-                packed.write(path, path.relative_to(folder.parent))
+    try:
+        # Zip knows no time before 1980, which files from archives may have.
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as packed:
+            for path in _shown_files(folder):
+                with contextlib.suppress(FileNotFoundError):  # a solve that ends now puts another in its place
+                    packed.write(path, path.relative_to(folder.parent))
+    except BaseException:
+        shutil.rmtree(place, ignore_errors=True)
+        raise
     return FileResponse(
         archive, media_type="application/zip", filename=f"{folder.name}.zip",
         background=BackgroundTask(shutil.rmtree, place, ignore_errors=True),

@@ -7,7 +7,7 @@ the Host must be ours, and so must the Origin of whatever changes something or o
 import hmac
 from collections.abc import Sequence
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 from starlette.responses import PlainTextResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -51,7 +51,7 @@ class Guard:
             return
         if self._token is not None and scope["type"] == "http" and _asked_token(scope):
             # Out of the address, where it would stay in the history, into a cookie that no script can read.
-            response = RedirectResponse(scope["path"], 303)
+            response = RedirectResponse(quote(scope["path"]), 303)
             response.set_cookie(COOKIE, self._token, httponly=True, samesite="strict")
             await response(scope, receive, send)
             return

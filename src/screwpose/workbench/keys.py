@@ -32,6 +32,11 @@ KEYS = (
         ("d  D", "away along the ray by 0.1 mm, and back"),
         ("[  ]", "the screw before, the next one"),
     )),
+    ("3D", (
+        ("Drag, arrows", "turn"),
+        ("Right button + drag, Shift + arrows", "move"),
+        ("Wheel, + and -", "zoom"),
+    )),
     ("Everywhere", (
         ("Ctrl + Z", "undo"),
         ("Ctrl + Shift + Z", "redo"),

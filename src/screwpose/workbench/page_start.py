@@ -12,6 +12,7 @@ from screwpose.workbench.sessions import Sessions
 from screwpose.workbench.store import CaseStore
 from screwpose.workbench.theme import Theme, footer
 from screwpose.workbench.uploading import uploader
+from screwpose.workbench.workspace import address_of
 
 
 def start_page(sessions: Sessions) -> None:
@@ -57,7 +58,7 @@ class _New:
         """A case without files."""
         store = self._made()
         if store is not None:
-            ui.navigate.to(f"/case/{store.folder.name}")
+            ui.navigate.to(address_of(store.folder.name))
 
     async def take(self, files: list[Any]) -> None:
         """Files that came in together."""
@@ -65,9 +66,8 @@ class _New:
         if store is None:
             return
         session = self._sessions.get(store.folder.name)
-        problems = await take_in(self._sessions, session, files)
-        session.told_of_files = problems
-        ui.navigate.to(f"/case/{store.folder.name}")
+        session.told_of_files = await take_in(self._sessions, session, files)
+        ui.navigate.to(address_of(store.folder.name))
 
     def _made(self) -> CaseStore | None:
         try:
@@ -86,7 +86,7 @@ async def _demo(sessions: Sessions, button: ui.button, problem: ui.label) -> Non
         sessions.workspace.folder.mkdir(parents=True, exist_ok=True)
         arguments: dict[str, object] = {"workspace": str(sessions.workspace.folder), "seed": 7}
         key = await sessions.helped("simulate", arguments, quiet_s=300.0)
-        ui.navigate.to(f"/case/{key}")
+        ui.navigate.to(address_of(str(key)))
     except (ScrewposeError, OSError) as error:
         problem.set_text(str(error))
         problem.set_visibility(True)
@@ -100,7 +100,7 @@ def _recent(sessions: Sessions) -> None:
         ui.label("None yet.").classes("muted")
     with ui.element("ul").classes("recent"):
         for one in cases:
-            with ui.element("li"), ui.link(target=f"/case/{one.key}").classes("case-link"):
+            with ui.element("li"), ui.link(target=address_of(one.key)).classes("case-link"):
                 ui.label(one.key).classes("case-name")
                 ui.label("solved" if one.is_solved else "not solved").classes("muted small")
                 ui.label(f"{one.changed:%d %b %Y, %H:%M}").classes("muted small")

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 from nicegui import ui
 
+from screwpose.workbench.workspace import address_of
+
 if TYPE_CHECKING:
     from screwpose.workbench.page_case import CasePage
 
@@ -45,6 +47,7 @@ class ExportPanel:
             if session.is_solved and not is_written:
                 button = ui.button("Write the report").props("no-caps")
                 button.on_click(partial(self._write, button))
+                button.set_enabled(self._page.may_edit)
             for name, title, words in _FILES:
                 ready = name == "case.zip" or (session.is_solved and (is_written or name == "result.json"))
                 with ui.row().classes("export"):
@@ -52,13 +55,15 @@ class ExportPanel:
                         ui.label(title).classes("strong")
                         ui.label(words).classes("muted small")
                     if ready:
-                        ui.link(f"Get {name}", f"/export/{session.key}/{name}", new_tab=name == "report.html").classes(
+                        ui.link(f"Get {name}", address_of(session.key, name), new_tab=name == "report.html").classes(
                             "get"
                         )
                     else:
                         ui.label("not written yet").classes("muted small")
 
     async def _write(self, button: ui.button) -> None:
+        if not self._page.may_edit:  # the case was taken over since
+            return
         button.props("loading")
         await self._page.session.ask("export")
         self._page.session.tell()

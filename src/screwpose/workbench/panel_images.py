@@ -46,7 +46,9 @@ class ImagesPanel:
         self._dialog = _CalibrationDialog(self._page)
 
     async def _take(self, files: list[Uploaded]) -> None:
-        if self._page.may_edit:
+        if not self._page.may_edit:
+            ui.notify("Not taken: here the case can only be looked at. Take over to go on here.", type="negative")
+        else:
             session = self._page.session
             session.told_of_files = await take_in(self._page.sessions, session, files)
             session.tell()
@@ -70,9 +72,9 @@ class ImagesPanel:
         self._shown = shown
         self._cards.clear()
         with self._cards:
-            for problem in session.told_of_files:
+            for one in session.told_of_files:
                 with ui.element("section").classes("card span"):
-                    notes([{"level": "error", "text": problem}])
+                    notes([one])
             for view in dict.fromkeys([*session.store.draft["views"], *drafts.CUSTOMARY_VIEWS]):
                 if view in session.store.draft["views"] or len(session.store.draft["views"]) < 2:
                     self._view_card(view, [one for one in findings if _is_about(one, f"views.{view}")])

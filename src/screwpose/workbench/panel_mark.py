@@ -1,5 +1,6 @@
 """Mark: tips and centres clicked in both X-rays; the pair that is suggested, projected back; the mask M_bg."""
 
+import asyncio
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,7 @@ class MarkPanel:
     def __init__(self, page: "CasePage") -> None:
         self._page = page
         self._painting = False
-        self._strokes: dict[str, list[dict[str, Any]]] = {}
+        self._stroke = asyncio.Lock()
 
     # ---- the page
     def build(self) -> None:
@@ -283,14 +284,15 @@ class MarkPanel:
 
     async def _painted(self, view: str, event: events.GenericEventArguments) -> None:
         session = self._page.session
-        if not self._page.may_edit:
-            return
         stroke = {"points": event.args["points"], "radius": self._brush.value, "counts": bool(self._erase.value)}
-        folder = session.store.folder / "masks"
-        number = next(n for n in range(1, 10_000) if not (folder / f"{_plain(view)}-{n}.png").exists())
-        name = await session.ask("paint", view=view, strokes=[stroke], name=f"{_plain(view)}-{number}.png")
-        if name is not None:
-            session.change(drafts.with_view_key(session.store.draft, view, "mask", name))
+        async with self._stroke:  # each begins with the mask of the one before, and has a file of its own
+            if not self._page.may_edit:
+                return
+            folder = session.store.folder / "masks"
+            number = next(n for n in range(1, 10_000) if not (folder / f"{_plain(view)}-{n}.png").exists())
+            name = await session.ask("paint", view=view, strokes=[stroke], name=f"{_plain(view)}-{number}.png")
+            if name is not None:
+                session.change(drafts.with_view_key(session.store.draft, view, "mask", name))
 
 
 def window_controls(page: "CasePage") -> None:

@@ -12,6 +12,20 @@ if TYPE_CHECKING:
 
 _VIEW_AWAY = 4.8  # radii of what is shown, from its middle to the eye
 _LINE = "#8aa0b5"
+# The camera is the browser's, which a hand turns without the server: so do keys, about the same point.
+_KEYS = """(event) => {
+    const ways = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }, way = ways[event.key];
+    const nearer = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 }[event.key];
+    if ((!way && !nearer) || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    const { camera, controls } = getElement(SCENE), eye = camera.position.clone().sub(controls.target);
+    const right = camera.up.clone().cross(eye).normalize(), up = eye.clone().cross(right).normalize();
+    if (nearer) eye.multiplyScalar(nearer);
+    else if (event.shiftKey) {
+        controls.target.addScaledVector(way[0] ? right : up, 0.03 * (way[0] + way[1]) * eye.length());
+    } else for (const one of [eye, camera.up]) one.applyAxisAngle(way[0] ? up : right, 0.1 * (way[0] - way[1]));
+    camera.position.copy(controls.target).add(eye);
+}"""
 
 
 class SpacePanel:
@@ -53,7 +67,8 @@ class SpacePanel:
         with ui.scene(
             width=1200, height=800, grid=False, camera=camera, on_click=self._clicked, click_events=["click"],
             background_color="#dfe4e9" if self._page.theme.is_light else "#0c0f12", control_type="trackball", fps=60,
-        ).classes("scene") as scene:  # fmt: skip
+        ).classes("scene").props('tabindex=0 role="application" aria-label="3D view"') as scene:  # fmt: skip
+            scene.on("keydown", js_handler=_KEYS.replace("SCENE", str(scene.id)))
             for item in space["scenes"][space["first"]]:
                 meshes = []
                 for piece in item["pieces"]:
@@ -100,7 +115,8 @@ class SpacePanel:
         self._side.clear()
         with self._side:
             ui.label(
-                "Drag to turn, right button to move, wheel to zoom. Click a screw to choose it everywhere."
+                "Drag to turn, right button to move, wheel to zoom; by keys: arrows, Shift + arrows, + and -. "
+                "Click a screw to choose it everywhere."
             ).classes("muted small")
             screw_buttons(self._page, data["screws"] if data else [], _nothing_beside, _model_and_tip)
 

@@ -19,7 +19,7 @@ from screwpose.workbench.guard import LOOPBACK, Guard
 from screwpose.workbench.page_case import case_page
 from screwpose.workbench.page_start import start_page
 from screwpose.workbench.sessions import Sessions
-from screwpose.workbench.workspace import workspace_of
+from screwpose.workbench.workspace import address_of, workspace_of
 
 _STATIC = Path(__file__).parent / "static"
 _LONGEST_MESSAGE = 4 * 2**20  # of a browser: long strokes of a brush are the longest
@@ -47,8 +47,8 @@ def serve(path: Path | None, ready: Callable[[str], None], host: str = "127.0.0.
     port = listening.getsockname()[1]
     is_local = host in LOOPBACK
     token = None if is_local else secrets.token_urlsafe(24)
-    address = f"http://{f'[{host}]' if ':' in host else _shown(host)}:{port}/"
-    address += f"case/{workspace.first}" if workspace.first else ""
+    address = f"http://{f'[{host}]' if ':' in host else _shown(host)}:{port}"
+    address += address_of(workspace.first) if workspace.first else "/"
     address += f"?token={token}" if token else ""
     sessions = Sessions(workspace)
     own = FastAPI(openapi_url=None)

@@ -61,7 +61,7 @@ class Session:
     reviewed: dict[str, Any] | None = None
     live: dict[str, Any] | None = None
     problem: str = ""
-    told_of_files: list[str] = field(default_factory=list)
+    told_of_files: list[dict[str, str]] = field(default_factory=list)
     notes_of_models: dict[str, list[str]] = field(default_factory=dict)
     job: Job | None = None
     listeners: dict[str, Callable[[], None]] = field(default_factory=dict)
@@ -312,10 +312,10 @@ class Session:
 
     def close(self) -> None:
         """End its processes, and leave the case to others."""
-        self.store.claim.release()
         self.reader.end()
         if self.job is not None and self.job.child is not None:
             self.job.child.end()
+        self.store.claim.release()
 
     async def gone(self) -> None:
         """Wait until they are no more."""

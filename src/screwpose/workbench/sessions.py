@@ -36,12 +36,10 @@ class Sessions:
             There is no such case, or it cannot be read.
         """
         folder = self.workspace.folder_of(key)
-        session = self._open.pop(key, None)
-        if session is None:
-            session = Session(key, CaseStore(folder), self.cache, self.queue)
-        elif session.store.is_changed_elsewhere:
-            session.reread()
+        session = self._open.pop(key, None) or Session(key, CaseStore(folder), self.cache, self.queue)
         self._open[key] = session  # the last one is the one that was used last
+        if session.store.is_changed_elsewhere:
+            session.reread()
         self._rest()
         return session
 
@@ -71,9 +69,11 @@ class Sessions:
                 await child.gone()
 
     async def close(self) -> None:
-        """End all processes, and throw the cache away."""
-        for session in self._open.values():
-            session.close()
-        for session in self._open.values():
-            await session.gone()
-        shutil.rmtree(self.cache, ignore_errors=True)
+        """End all processes, and throw the cache away: it has pixels of patients."""
+        try:
+            for session in self._open.values():
+                session.close()
+            for session in self._open.values():
+                await session.gone()
+        finally:
+            shutil.rmtree(self.cache, ignore_errors=True)

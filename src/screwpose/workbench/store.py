@@ -48,8 +48,7 @@ class CaseStore:
 
     def reread(self) -> None:
         """Go on with what is on the disk now."""
-        self.draft = _read_draft(self.file)
-        self.side = _read_side(self.folder / SIDE_NAME)
+        self.draft, self.side = _read_draft(self.file), _read_side(self.folder / SIDE_NAME)
         self._on_disk = _digest_of_file(self.file)
         self._side_on_disk = _digest_of_file(self.folder / SIDE_NAME)
         self.side = self.side.model_copy(update=_found_in(self.side, self.draft))

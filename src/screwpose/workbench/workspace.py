@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from urllib.parse import quote
 
 from screwpose.errors import CaseError
 
@@ -47,6 +48,12 @@ class Workspace:
         raise CaseError(
             f"there is no case of the name {key[:80]!r} here", remedy="The start page lists those there are."
         )
+
+
+def address_of(key: str, export: str | None = None) -> str:
+    """The path of a case's page, or of one of its exports: a folder's name may have characters that end a path."""
+    name = quote(key, safe="")
+    return f"/case/{name}" if export is None else f"/export/{name}/{export}"
 
 
 def workspace_of(path: Path | None) -> Workspace:
