@@ -176,7 +176,7 @@ class Session:
     @property
     def is_stale(self) -> bool:
         """Whether the case was changed since it was solved here."""
-        return self.store.side.solved_from not in (None, self.store.digest)
+        return self.store.is_stale
 
     # ---- looking
     def look_soon(self) -> None:
