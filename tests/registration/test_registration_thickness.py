@@ -7,7 +7,6 @@ import pytest
 
 from screwpose.errors import CancelledError
 from screwpose.geometry import Camera, rigid
-from screwpose.implants import ScrewDesign, make_screw
 from screwpose.registration.landmark_prior import MarkedScrew, mark_residuals
 from screwpose.registration.recipe import STAGES, fit_by_thickness, once_more, scaled_stages
 from screwpose.registration.thickness_fit import (
@@ -21,6 +20,7 @@ from screwpose.registration.thickness_fit import (
 )
 from screwpose.similarity.thickness import make_gradient_target
 from screwpose.simulation.pathlength import path_length_mm
+from tests.registration.drawn_scene import SCREW, pose_at
 
 SIZE = (400, 400)
 K = np.array([[1300.0, 0, 199.5], [0, 1300.0, 199.5], [0, 0, 1]])
@@ -28,16 +28,6 @@ CAMERAS = {
     "AP": Camera.from_matrix(K @ np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 600]]), SIZE),
     "LAT": Camera.from_matrix(K @ np.array([[0, 0, -1.0, 0], [0, 1, 0, 0], [1, 0, 0, 600]]), SIZE),
 }
-SCREW = make_screw(ScrewDesign(segments=16, slot_lengths_mm=(30.0, 20.0), tower_length_mm=45.0))
-
-
-def pose_at(turn: list[float], shift: list[float]) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3] = rigid.exp_rotation(np.array(turn))
-    pose[:3, 3] = shift
-    return pose
-
-
 TRUTH = [pose_at([0.25, 0.3, 0.15], [-25.0, -45.0, -10.0]), pose_at([-0.2, 1.1, -0.2], [20.0, -40.0, 15.0])]
 
 
